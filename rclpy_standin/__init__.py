@@ -3,8 +3,8 @@
 """A stand-in for rclpy on machines without ROS, built on Cyclone DDS from PyPI.
 
 Nodes written for rclpy run unchanged and communicate with real ROS 2 nodes. Unsupported features
-(actions, lifecycle, multi-threading, deadlines, lifespans, liveliness) raise an exception when
-they are requested.
+(actions, lifecycle, multi-threading, deadlines, lifespans, liveliness, parameters without a
+default) raise an exception when they are requested.
 """
 
 from __future__ import annotations

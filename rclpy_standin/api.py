@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from rclpy_standin import arguments
@@ -62,25 +63,23 @@ def ok(*, context: Context | None = None) -> bool:
     return (get_default_context() if context is None else context).ok()
 
 
-def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
+def shutdown(*, context: Context | None = None) -> None:
     """Shut down a context; raises RuntimeError if it is not initialised."""
     context = get_default_context() if context is None else context
     context.shutdown()
-    _finish_shutdown(context, uninstall_handlers)
+    _finish_shutdown(context)
 
 
-def try_shutdown(
-    *, context: Context | None = None, uninstall_handlers: bool | None = None
-) -> None:
+def try_shutdown(*, context: Context | None = None) -> None:
     """Shut down a context if it is initialised."""
     context = get_default_context() if context is None else context
     context.try_shutdown()
-    _finish_shutdown(context, uninstall_handlers)
+    _finish_shutdown(context)
 
 
-def _finish_shutdown(context: Context, uninstall_handlers: bool | None) -> None:
+def _finish_shutdown(context: Context) -> None:
     context.close_if_unused()
-    if uninstall_handlers or (uninstall_handlers is None and context is get_default_context()):
+    if context is get_default_context():
         uninstall_signal_handlers()
 
 
@@ -95,33 +94,32 @@ def spin(node: Node, executor: Any = None) -> None:
     Raises:
         ExternalShutdownException: the context was shut down while the executor waited.
     """
-    executor = get_global_executor() if executor is None else executor
-    try:
-        executor.add_node(node)
-        while executor.context.ok():
-            executor.spin_once()
-    finally:
-        executor.remove_node(node)
+    with _executor_of(node, executor) as spinning:
+        while spinning.context.ok():
+            spinning.spin_once()
 
 
 def spin_once(node: Node, *, executor: Any = None, timeout_sec: float | None = None) -> None:
     """Run one callback of a node, waiting for it until the timeout."""
-    executor = get_global_executor() if executor is None else executor
-    try:
-        executor.add_node(node)
-        executor.spin_once(timeout_sec=timeout_sec)
-    finally:
-        executor.remove_node(node)
+    with _executor_of(node, executor) as spinning:
+        spinning.spin_once(timeout_sec=timeout_sec)
 
 
 def spin_until_future_complete(
     node: Node, future: Any, executor: Any = None, timeout_sec: float | None = None
 ) -> None:
     """Run a node's callbacks until a future is done or the timeout has passed."""
+    with _executor_of(node, executor) as spinning:
+        spinning.spin_until_future_complete(future, timeout_sec)
+
+
+@contextmanager
+def _executor_of(node: Node, executor: Any) -> Iterator[Any]:
+    """Add a node to an executor, by default to the global one, for the duration of a context."""
     executor = get_global_executor() if executor is None else executor
     try:
         executor.add_node(node)
-        executor.spin_until_future_complete(future, timeout_sec)
+        yield executor
     finally:
         executor.remove_node(node)
 

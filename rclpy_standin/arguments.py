@@ -17,7 +17,7 @@ from rclpy_standin.exceptions import (
     RCLInvalidROSArgsError,
     UnknownROSArgsError,
 )
-from rclpy_standin.logging import LoggingSeverity, get_logging_severity_from_string
+from rclpy_standin.logging import LoggingSeverity
 
 START, END = '--ros-args', '--'
 _SWITCHES = re.compile(r'--(enable|disable)-(rosout|stdout|external-lib)-logs')
@@ -34,9 +34,8 @@ class Remap:
 
     node: str
     """Name of the node that the rule applies to; empty for all nodes."""
-    kind: str
-    """topic, service, '' for both, or __node and __ns."""
     match: str
+    """Name of a topic or service, or __node or __ns."""
     replacement: str
 
 
@@ -112,8 +111,8 @@ def _add_option(parsed: Arguments, option: str, value: str, word: str) -> None:
     if option == 'level':
         logger, has_name, level = value.rpartition(':=')
         try:
-            severity = get_logging_severity_from_string(level)
-        except RuntimeError:
+            severity = LoggingSeverity[level.upper()]
+        except KeyError:
             raise RCLInvalidROSArgsError(
                 f'{word} {value}: expected debug, info, warn, error or fatal'
             ) from None
@@ -122,29 +121,22 @@ def _add_option(parsed: Arguments, option: str, value: str, word: str) -> None:
     if option == 'ignored':
         return
     match, is_rule, replacement = value.partition(':=')
-    node, _, match = match.rpartition(':') if '://' not in match else ('', '', match)
+    node, _, match = match.rpartition(':')
     if not is_rule or not match:
         raise RCLInvalidROSArgsError(f'{word} {value}: expected name:=value')
     if option == 'parameter':
         pattern = '/**' if not node else node if node.startswith('/') else f'/{node}'
         parsed.parameters.append((pattern, {match: parse_value(replacement)}))
         return
-    kind = ''
-    for scheme in ('topic', 'service'):
-        if match.startswith(f'ros{scheme}://'):
-            kind, match = scheme, match.partition('://')[2]
-    if match in ('__node', '__name'):
-        kind = '__node'
-    elif match == '__ns':
-        kind = '__ns'
+    match = '__node' if match == '__name' else match
     try:
-        if kind == '__node':
+        if match == '__node':
             names.check_node_name(replacement)
-        elif kind == '__ns':
+        elif match == '__ns':
             names.check_namespace(replacement)
     except NameValidationException as error:
         raise RCLInvalidROSArgsError(f'{word} {value}: {error}') from None
-    parsed.remaps.append(Remap(node, kind, match, replacement))
+    parsed.remaps.append(Remap(node, match, replacement))
 
 
 # Names
@@ -167,7 +159,7 @@ class Names:
         """Return the full name of a topic or service after remapping."""
         full = names.expand(name, self.node, self.namespace, is_service)
         for rule in self._rules:
-            if rule.kind not in ('', 'service' if is_service else 'topic'):
+            if rule.match in ('__node', '__ns'):
                 continue
             if rule.node and rule.node not in (self._original_node, self.node):
                 continue
@@ -175,9 +167,9 @@ class Names:
                 return names.expand(rule.replacement, self.node, self.namespace, is_service)
         return full
 
-    def _find_replacement(self, kind: str, node: str) -> str | None:
+    def _find_replacement(self, match: str, node: str) -> str | None:
         for rule in self._rules:
-            if rule.kind == kind and rule.node in ('', node):
+            if rule.match == match and rule.node in ('', node):
                 return rule.replacement
         return None
 

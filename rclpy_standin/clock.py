@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import total_ordering
 from typing import Any
@@ -32,33 +31,14 @@ def _check_range(value: int) -> int:
     return value
 
 
-@total_ordering
+@dataclass(init=False, order=True, unsafe_hash=True)
 class Duration:
     """A duration, in nanoseconds."""
 
-    __slots__ = ('nanoseconds',)
+    nanoseconds: int
 
     def __init__(self, *, seconds: float = 0, nanoseconds: int = 0) -> None:
         self.nanoseconds = _check_range(int(seconds * S_TO_NS) + int(nanoseconds))
-
-    def __eq__(self, other: object) -> bool:
-        if isinstance(other, Duration):
-            return self.nanoseconds == other.nanoseconds
-        return NotImplemented
-
-    def __lt__(self, other: object) -> bool:
-        if isinstance(other, Duration):
-            return self.nanoseconds < other.nanoseconds
-        return NotImplemented
-
-    def __hash__(self) -> int:
-        return hash(self.nanoseconds)
-
-    def __repr__(self) -> str:
-        return f'Duration(nanoseconds={self.nanoseconds})'
-
-    def __str__(self) -> str:
-        return f'{self.nanoseconds} nanoseconds'
 
     def to_msg(self) -> Any:
         """Return the equivalent builtin_interfaces message."""
@@ -145,24 +125,18 @@ class Time:
 class Clock:
     """A clock; clocks of type ROS_TIME can be simulated."""
 
-    def __new__(cls, *, clock_type: ClockType = ClockType.SYSTEM_TIME) -> Clock:
-        """Create a ROSClock for ROS_TIME, a Clock otherwise."""
-        if not isinstance(clock_type, ClockType):
-            raise TypeError('Clock type must be a ClockType enum')
-        return super().__new__(ROSClock if clock_type == ClockType.ROS_TIME else cls)
+    is_simulated = False
+    """Whether the time is set from outside."""
 
     def __init__(self, *, clock_type: ClockType = ClockType.SYSTEM_TIME) -> None:
+        if not isinstance(clock_type, ClockType):
+            raise TypeError('Clock type must be a ClockType enum')
         self.clock_type = clock_type
         self.timers: set[Any] = set()
         """Timers to notify of jumps."""
 
     def __repr__(self) -> str:
         return f'Clock(clock_type={self.clock_type.name})'
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether the time is set from outside."""
-        return False
 
     def now_ns(self) -> int:
         """Return the current time in ns."""
@@ -176,41 +150,26 @@ class Clock:
 class ROSClock(Clock):
     """A clock of ROS time: system time, or simulated time."""
 
-    def __new__(cls, **_: Any) -> ROSClock:
-        """Create a ROSClock."""
-        return object.__new__(cls)
-
-    def __init__(self, **_: Any) -> None:
+    def __init__(self) -> None:
         super().__init__(clock_type=ClockType.ROS_TIME)
-        self._active = False
-        self._override_ns = 0
-        self._lock = threading.Lock()
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether the time is set from outside."""
-        return self._active
+        self._simulated_ns = 0
 
     def now_ns(self) -> int:
         """Return the current time in ns; 0 if simulated time has not been set yet."""
-        return self._override_ns if self._active else time.time_ns()
+        return self._simulated_ns if self.is_simulated else time.time_ns()
 
-    def set_ros_time_override(self, time: Time) -> None:
+    def simulate(self, time_ns: int) -> None:
         """Set the simulated time; it is used while simulated time is active."""
-        if not isinstance(time, Time):
-            raise TypeError(f'Time must be specified as rclpy.time.Time. Received type: {time!r}')
-        if not self._active:
-            self._override_ns = time.nanoseconds
-            return
-        self._jump(False, lambda: setattr(self, '_override_ns', time.nanoseconds))
+        before_ns, self._simulated_ns = self.now_ns(), time_ns
+        if self.is_simulated:
+            self._notify(False, before_ns)
 
-    def _set_ros_time_is_active(self, enabled: bool) -> None:
-        if enabled != self._active:
-            self._jump(True, lambda: setattr(self, '_active', enabled))
+    def set_simulated(self, enabled: bool) -> None:
+        """Use simulated time, or system time again."""
+        if enabled != self.is_simulated:
+            before_ns, self.is_simulated = self.now_ns(), enabled
+            self._notify(True, before_ns)
 
-    def _jump(self, is_switch: bool, change: Callable[[], None]) -> None:
-        before_ns = self.now_ns()
-        with self._lock:
-            change()
+    def _notify(self, is_switch: bool, before_ns: int) -> None:
         for timer in list(self.timers):
             timer.on_jump(is_switch, before_ns)

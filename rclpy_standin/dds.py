@@ -115,12 +115,11 @@ def _policies(qos: EndpointQos, user_data: str) -> Qos:
 
 
 def _endpoint_qos(qos: Qos) -> EndpointQos:
-    history, lifespan = qos[Policy.History], qos[Policy.Lifespan]
+    history = qos[Policy.History]
     return EndpointQos(
         getattr(history, 'depth', None) if history is not None else 1,
         qos[Policy.Reliability] != Policy.Reliability.BestEffort,
         qos[Policy.Durability] == Policy.Durability.TransientLocal,
-        lifespan.lifespan if lifespan is not None and lifespan.lifespan < INFINITE_NS else None,
     )
 
 
@@ -205,6 +204,10 @@ class StatusChange(NamedTuple):
 class Endpoint(Entity):
     """A DDS reader or writer."""
 
+    _get_matched: Callable[..., int]
+    _get_data: Callable[..., Any]
+    """Functions that return the matched endpoints, and the description of one of them."""
+
     def __init__(self, reference: int, name: str) -> None:
         super().__init__(reference)
         self.name = name
@@ -224,18 +227,28 @@ class Endpoint(Entity):
             getattr(out, 'last_policy_id', 0),
         )
 
-    def _matched(self, function: Callable[..., int]) -> list[int]:
+    @property
+    def matched(self) -> list[int]:
+        """Instance handles of the matched endpoints."""
         capacity = 16
         while True:
             out = (ct.c_uint64 * capacity)()
-            count = function(self.reference, out, capacity)
+            count = self._get_matched(self.reference, out, capacity)
             if count <= capacity:
                 return list(out[:count])
             capacity = count
 
+    def user_data_of(self, handle: int) -> str | None:
+        """Return the USER_DATA of a matched endpoint; None if it is gone."""
+        found = self._get_data(self.reference, handle, endpoint_constructor, cqos_to_qos)
+        return None if found is None else _user_data(found.qos)
+
 
 class Writer(Endpoint):
     """Writer of serialised samples; thread-safe."""
+
+    _get_matched = staticmethod(c.matched_readers)
+    _get_data = staticmethod(_clayer.ddspy_get_matched_subscription_data)
 
     def write(self, data: bytes | bytearray) -> None:
         """Write a sample.
@@ -260,18 +273,6 @@ class Writer(Endpoint):
             if timeout_ns <= 0:
                 return False
 
-    @property
-    def matched(self) -> list[int]:
-        """Instance handles of the matched readers."""
-        return self._matched(c.matched_readers)
-
-    def user_data_of(self, handle: int) -> str | None:
-        """Return the USER_DATA of a matched reader; None if it is gone."""
-        found = _clayer.ddspy_get_matched_subscription_data(
-            self.reference, handle, endpoint_constructor, cqos_to_qos
-        )
-        return None if found is None else _user_data(found.qos)
-
 
 class TakenSample(NamedTuple, Generic[Value]):
     """A converted sample and its origin."""
@@ -282,6 +283,9 @@ class TakenSample(NamedTuple, Generic[Value]):
 
 class Reader(Endpoint):
     """Reader of serialised samples."""
+
+    _get_matched = staticmethod(c.matched_writers)
+    _get_data = staticmethod(_clayer.ddspy_get_matched_publication_data)
 
     def __init__(self, reference: int, name: str) -> None:
         super().__init__(reference, name)
@@ -313,18 +317,6 @@ class Reader(Endpoint):
             finally:
                 c.release_sample(sample)
         return None
-
-    @property
-    def matched(self) -> list[int]:
-        """Instance handles of the matched writers."""
-        return self._matched(c.matched_writers)
-
-    def user_data_of(self, handle: int) -> str | None:
-        """Return the USER_DATA of a matched writer; None if it is gone."""
-        found = _clayer.ddspy_get_matched_publication_data(
-            self.reference, handle, endpoint_constructor, cqos_to_qos
-        )
-        return None if found is None else _user_data(found.qos)
 
 
 def _converted(sample: ct.c_void_p, convert: Callable[[memoryview], Value]) -> Value:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy_standin.dds import Endpoint, StatusChange
+from rclpy_standin.node_parts import Waitable
 from rclpy_standin.qos import POLICY_KINDS, QoSPolicyKind
 
 Callback = Callable[[Any], None] | None
@@ -37,7 +38,6 @@ class SubscriptionEventCallbacks:
 
     incompatible_qos: Callback = None
     message_lost: Callback = None
-    use_default_callbacks: bool = True
 
 
 class Events:
@@ -59,18 +59,14 @@ class Events:
 
         self._endpoint = endpoint
         incompatible = f'{"offered" if is_writer else "requested"}_incompatible_qos'
-        default = warn if callbacks.use_default_callbacks else None
-        given = {
-            incompatible: callbacks.incompatible_qos or default,
-            'sample_lost': callbacks.message_lost,
-        }
-        self._callbacks = {status: call for status, call in given.items() if call is not None}
+        self._callbacks = {incompatible: callbacks.incompatible_qos or warn}
+        if callbacks.message_lost is not None:
+            self._callbacks['sample_lost'] = callbacks.message_lost
         endpoint.watch(*self._callbacks)
 
-    @property
-    def reference(self) -> int | None:
-        """DDS entity to wait for; None if there are no callbacks."""
-        return self._endpoint.reference if self._callbacks else None
+    def waitable(self) -> Waitable:
+        """Return the entity to wait for."""
+        return Waitable(self._endpoint.reference, self.execute)
 
     def execute(self) -> bool:
         """Run the callbacks of all changed statuses; return whether any changed."""

@@ -67,63 +67,51 @@ class InvalidServiceNameException(NameValidationException):
 class ParameterException(Exception):  # noqa: N818
     """Base class of parameter errors."""
 
-    def __init__(self, error_msg: str, parameters: Any) -> None:
-        super().__init__(f'{error_msg}: {parameters}')
+    TEXT = 'Parameter error'
+
+    def __init__(self, parameters: Any) -> None:
+        super().__init__(f'{self.TEXT}: {parameters}')
 
 
 class ParameterNotDeclaredException(ParameterException):
     """Access to a parameter that is not declared."""
 
-    def __init__(self, parameters: Any) -> None:
-        super().__init__('Invalid access to undeclared parameter(s)', parameters)
+    TEXT = 'Invalid access to undeclared parameter(s)'
 
 
 class ParameterAlreadyDeclaredException(ParameterException):
     """A second declaration of a parameter."""
 
-    def __init__(self, parameters: Any) -> None:
-        super().__init__('Parameter(s) already declared', parameters)
+    TEXT = 'Parameter(s) already declared'
 
 
 class InvalidParameterException(ParameterException):
     """An invalid parameter name."""
 
-    def __init__(self, parameter_name: str) -> None:
-        super().__init__('Invalid parameter name', parameter_name)
+    TEXT = 'Invalid parameter name'
 
 
 class InvalidParameterTypeException(ParameterException):
     """A value whose type differs from the type of the parameter."""
 
     def __init__(self, desired_parameter: Any, expected_type: Any) -> None:
-        super().__init__(
+        self.TEXT = (
             f'Trying to set parameter {desired_parameter.name!r} to '
             f'{desired_parameter.value!r} of type {desired_parameter.type_.name!r}, '
-            f'expecting type {expected_type!r}',
-            desired_parameter.name,
+            f'expecting type {expected_type!r}'
         )
+        super().__init__(desired_parameter.name)
 
 
 class InvalidParameterValueException(ParameterException):
     """A parameter value that was rejected."""
 
     def __init__(self, parameter: str, value: Any, reason: str) -> None:
-        super().__init__(
-            f'Invalid parameter value ({value!r}) for parameter. Reason: {reason}', parameter
-        )
+        self.TEXT = f'Invalid parameter value ({value!r}) for parameter. Reason: {reason}'
+        super().__init__(parameter)
 
 
 class ParameterImmutableException(ParameterException):
     """An attempt to undeclare a read-only parameter."""
 
-    def __init__(self, parameter_name: str) -> None:
-        super().__init__('Attempted to modify read-only parameter', parameter_name)
-
-
-class ParameterUninitializedException(ParameterException):
-    """Access to a parameter that was declared without a value and has not been set."""
-
-    def __init__(self, parameter_name: str) -> None:
-        super().__init__(
-            'The parameter is not initialized, and its type is not dynamic', parameter_name
-        )
+    TEXT = 'Attempted to modify read-only parameter'

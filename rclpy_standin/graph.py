@@ -149,7 +149,9 @@ class Graph:
     def services(self) -> NamesAndTypes:
         """Return all services and their types."""
         return _group_types(
-            map(_service_of, [*self._discovered('reader'), *self._discovered('writer')])
+            _service_of(found)
+            for kind in ('writer', 'reader')
+            for found in self._participant.endpoints(kind)
         )
 
     def endpoints(self, topic: str, kind: str) -> list[TopicEndpointInfo]:
@@ -173,12 +175,9 @@ class Graph:
                 list(found.gid),
                 from_dds(found.qos),
             )
-            for found in self._discovered(kind)
+            for found in self._participant.endpoints(kind)
             if found.topic == topic
         ]
-
-    def _discovered(self, kind: str) -> list[DiscoveredEndpoint]:
-        return self._participant.endpoints(kind)
 
     def _announcements(self) -> list[Any]:
         with self._lock:

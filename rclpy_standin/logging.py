@@ -7,9 +7,11 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypeVar
+
+Value = TypeVar('Value')
 
 
 class LoggingSeverity(IntEnum):
@@ -40,7 +42,7 @@ _levels: dict[str, LoggingSeverity] = {}
 _default = LoggingSeverity.INFO
 _to_stderr = True
 _publishers: dict[str, Callable[[Record], None]] = {}
-_call_sites: dict[tuple[str, int, str], tuple[int, int]] = {}
+_call_sites: dict[tuple[str, int, str], tuple[int, int | None]] = {}
 
 
 class RcutilsLogger:
@@ -48,10 +50,6 @@ class RcutilsLogger:
 
     def __init__(self, name: str = '') -> None:
         self.name = name
-
-    def get_effective_level(self) -> LoggingSeverity:
-        """Return the level of this logger or, if unset, that of its nearest ancestor."""
-        return get_logger_effective_level(self.name)
 
     def debug(self, message: object, **filters: Any) -> bool:
         """Log a message of severity DEBUG."""
@@ -77,52 +75,43 @@ class RcutilsLogger:
         """Log a message of severity FATAL."""
         return self._log(message, LoggingSeverity.FATAL, filters)
 
-    def log(self, message: object, severity: int, **filters: Any) -> bool:
+    def _log(self, message: object, severity: LoggingSeverity, filters: dict[str, Any]) -> bool:
         """Log a message.
 
         Args:
             message: text, or an object to convert to text.
-            severity: a LoggingSeverity.
+            severity: its severity.
             filters: ``throttle_duration_sec``, ``once`` and ``skip_first``; each line of code
                 that logs has its own state.
 
         Returns:
             Whether the message was logged; False if its severity or a filter suppressed it.
         """
-        return self._log(message, LoggingSeverity(severity), filters)
-
-    def _log(self, message: object, severity: LoggingSeverity, filters: dict[str, Any]) -> bool:
-        if severity < self.get_effective_level():
+        if severity < _nearest(_levels, self.name, _default):
             return False
         frame = sys._getframe(2)
-        if filters and not self._passes(frame, filters):
+        if filters and not self._passes(frame, **filters):
             return False
-        record = Record(filters.get('name', self.name), severity, str(message), frame)
+        record = Record(self.name, severity, str(message), frame)
         if _to_stderr:
             _print(record)
         with _lock:
-            publish = _publisher(record.name)
+            publish = _nearest(_publishers, self.name, None)
         if publish is not None:
             publish(record)
         return True
 
-    def _passes(self, frame: Any, filters: dict[str, Any]) -> bool:
-        unknown = set(filters) - {
-            'throttle_duration_sec', 'throttle_time_source_type', 'once', 'skip_first', 'name'
-        }
-        if unknown:
-            raise TypeError(f'unknown logging arguments: {", ".join(sorted(unknown))}')
+    def _passes(
+        self, frame: Any, *, throttle_duration_sec: float = 0.0, once: bool = False,
+        skip_first: bool = False,
+    ) -> bool:
         call_site = (frame.f_code.co_filename, frame.f_lineno, self.name)
-        source = filters.get('throttle_time_source_type')
-        now_ns = time.monotonic_ns() if source is None else source.now().nanoseconds
+        now_ns = time.monotonic_ns()
         with _lock:
-            calls, logged_ns = _call_sites.get(call_site, (0, -1))
-            passes = not (filters.get('skip_first') and calls == 0)
-            if filters.get('once') and logged_ns >= 0:
-                passes = False
-            throttle_s = filters.get('throttle_duration_sec')
-            if throttle_s and logged_ns >= 0 and now_ns - logged_ns < throttle_s * 1e9:
-                passes = False
+            calls, logged_ns = _call_sites.get(call_site, (0, None))
+            passes = not (skip_first and calls == 0) and (logged_ns is None or not (
+                once or now_ns - logged_ns < throttle_duration_sec * 1e9
+            ))
             _call_sites[call_site] = (calls + 1, now_ns if passes else logged_ns)
         return passes
 
@@ -134,48 +123,15 @@ def get_logger(name: str) -> RcutilsLogger:
     return RcutilsLogger(name)
 
 
-def set_logger_level(name: str, level: int, detailed_error: bool = False) -> None:
-    """Set the lowest severity that a logger and its children log; UNSET removes the level."""
-    global _default
-    if name:
-        _levels[name] = LoggingSeverity(level)
-    else:
-        _default = LoggingSeverity(level)
-
-
-def get_logger_level(name: str) -> LoggingSeverity:
-    """Return the level of a logger itself; UNSET if it has none."""
-    return _levels.get(name, LoggingSeverity.UNSET)
-
-
-def get_logger_effective_level(name: str) -> LoggingSeverity:
-    """Return the level of a logger or, if unset, that of its nearest ancestor."""
-    while name:
-        level = _levels.get(name, LoggingSeverity.UNSET)
-        if level != LoggingSeverity.UNSET:
-            return level
-        name = name.rpartition('.')[0]
-    return _default
-
-
-def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
-    """Return the severity with a name, ignoring case.
-
-    Raises:
-        RuntimeError: the name is unknown.
-    """
-    try:
-        return LoggingSeverity[log_severity.upper()]
-    except KeyError:
-        raise RuntimeError(f'unknown severity {log_severity!r}') from None
-
-
 def configure(levels: list[tuple[str, LoggingSeverity]], to_stderr: bool) -> None:
-    """Apply the logging options of a command line."""
-    global _to_stderr
+    """Apply the logging options of a command line; a level without a name is the default."""
+    global _to_stderr, _default
     _to_stderr = to_stderr
     for name, level in levels:
-        set_logger_level(name, level)
+        if name:
+            _levels[name] = level
+        else:
+            _default = level
 
 
 def set_publisher(name: str, publish: Callable[[Record], None] | None) -> None:
@@ -187,12 +143,13 @@ def set_publisher(name: str, publish: Callable[[Record], None] | None) -> None:
             _publishers[name] = publish
 
 
-def _publisher(name: str) -> Callable[[Record], None] | None:
+def _nearest(values: Mapping[str, Value], name: str, default: Value) -> Value:
+    """Return the value of a logger or, if it has none, that of its nearest ancestor."""
     while name:
-        if name in _publishers:
-            return _publishers[name]
+        if name in values:
+            return values[name]
         name = name.rpartition('.')[0]
-    return None
+    return default
 
 
 def _print(record: Record) -> None:

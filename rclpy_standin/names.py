@@ -16,7 +16,6 @@ from rclpy_standin.exceptions import (
 
 _TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 _MAX_LENGTH = 247
-_SUBSTITUTION = re.compile(r'\{([^{}]*)\}')
 
 
 def check_node_name(name: str) -> None:
@@ -55,7 +54,7 @@ def expand(name: str, node: str, namespace: str, is_service: bool = False) -> st
     """Expand a relative, private or absolute name of a topic or service to its full name.
 
     Args:
-        name: name to expand; ``~`` and substitutions such as ``{node}`` are allowed.
+        name: name to expand; ``~`` stands for the node.
         node: name of the node.
         namespace: full namespace of the node.
         is_service: whether the name is that of a service.
@@ -71,11 +70,6 @@ def expand(name: str, node: str, namespace: str, is_service: bool = False) -> st
     full = name
     if full.startswith('~'):
         full = join(namespace, node) + full[1:]
-    substitutions = {'node': node, 'ns': namespace.rstrip('/'), 'namespace': namespace.rstrip('/')}
-    for found in _SUBSTITUTION.finditer(full):
-        if found[1] not in substitutions:
-            raise error(name, f'unknown substitution {found[0]}', found.start())
-    full = _SUBSTITUTION.sub(lambda found: substitutions[found[1]], full)
     if not full.startswith('/'):
         full = join(namespace, full)
     for token in full.split('/')[1:]:

@@ -78,7 +78,8 @@ class Node:
         values = overrides(full_name, arguments)
         self.__parameters = Parameters(full_name, values, self.__publish_event)
         if declare_all:
-            self.declare_parameters('', [(n, v) for n, v in values.items()], ignore_override=True)
+            for name in values:
+                self.declare_parameter(name, values[name])
         TimeSource(self, self.__clock).attach()
 
     # Identity
@@ -146,7 +147,6 @@ class Node:
 
         Raises:
             InvalidTopicNameException: the name is invalid.
-            NotImplementedError: the QoS profile is not supported.
         """
         _check_message_type(msg_type)
         qos = to_profile(qos_profile)
@@ -170,7 +170,6 @@ class Node:
 
         Raises:
             InvalidTopicNameException: the name is invalid.
-            NotImplementedError: the QoS profile is not supported.
         """
         _check_message_type(msg_type)
         subscription = Subscription(
@@ -249,11 +248,6 @@ class Node:
         """Services of the node."""
         return self.__handle.parts(Service)
 
-    @property
-    def clients(self) -> Iterator[Client]:
-        """Service clients of the node."""
-        return self.__handle.parts(Client)
-
     def destroy_publisher(self, part: NodePart) -> bool:
         """Destroy a publisher or another part; return whether it belonged to the node."""
         return self.__handle.discard(part)
@@ -302,7 +296,7 @@ class Node:
 
         Args:
             name: name of the parameter.
-            value: default, or a ``Parameter.Type``.
+            value: default, which determines the type.
             descriptor: rcl_interfaces/ParameterDescriptor.
             ignore_override: use the default even if there is an override.
 
@@ -315,13 +309,7 @@ class Node:
             InvalidParameterTypeException: the override has another type.
             InvalidParameterValueException: the value was rejected.
         """
-        return self.__parameters.declare('', [(name, value, descriptor)], ignore_override)[0]
-
-    def declare_parameters(
-        self, namespace: str, parameters: Sequence[Sequence[Any]], ignore_override: bool = False
-    ) -> list[Parameter]:
-        """Declare parameters: tuples of the first arguments of ``declare_parameter``."""
-        return self.__parameters.declare(namespace, parameters, ignore_override)
+        return self.__parameters.declare(name, value, descriptor, ignore_override)
 
     def undeclare_parameter(self, name: str) -> None:
         """Undeclare a parameter."""
@@ -362,10 +350,6 @@ class Node:
     def add_on_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
         """Add a callback that accepts or rejects new values; the newest callback runs first."""
         self.__parameters.callbacks.insert(0, callback)
-
-    def add_post_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
-        """Add a callback that runs after parameters were set; the newest callback runs first."""
-        self.__parameters.post_callbacks.insert(0, callback)
 
     def __publish_event(self, event: Any) -> None:
         event.stamp = self.__clock.now().to_msg()

@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-import array
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy_standin.exceptions import ParameterNotDeclaredException, ParameterUninitializedException
+from rclpy_standin.exceptions import ParameterNotDeclaredException
 from rclpy_standin.parameters import Parameter, Parameters
 from rclpy_standin.types import message_class, service_class
 
@@ -23,15 +22,12 @@ def create_parameter_services(node: Any, parameters: Parameters, qos: Any) -> No
 
     def types(request: Any, response: Any) -> Any:
         if all(map(parameters.has, request.names)):
-            values = (parameters.get_or_unset(name).type_.value for name in request.names)
-            response.types = array.array('B', values)
+            response.types = [parameters.get(name).type_.value for name in request.names]
         return response
 
     def get(request: Any, response: Any) -> Any:
-        try:
+        if all(map(parameters.has, request.names)):
             response.values = [parameters.get(n).get_parameter_value() for n in request.names]
-        except (ParameterNotDeclaredException, ParameterUninitializedException):
-            response.values = []
         return response
 
     def list_names(request: Any, response: Any) -> Any:

@@ -8,7 +8,7 @@ import array
 import math
 import re
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any
 
@@ -19,7 +19,6 @@ from rclpy_standin.exceptions import (
     ParameterAlreadyDeclaredException,
     ParameterImmutableException,
     ParameterNotDeclaredException,
-    ParameterUninitializedException,
 )
 from rclpy_standin.types import message_class
 
@@ -29,7 +28,7 @@ _VALUE_FIELDS = (
     'bool_array_value', 'integer_array_value', 'double_array_value', 'string_array_value',
 )
 _RELATIVE_TOLERANCE = 1e-6
-"""Tolerance of comparisons with the limits and steps of floating-point ranges."""
+"""Tolerance of comparisons with the limits of floating-point ranges."""
 
 
 def _message(kind: str, /, **fields: Any) -> Any:
@@ -156,79 +155,47 @@ class Parameters:
         self._descriptors: dict[str, Any] = {}
         self._lock = threading.RLock()
         self.callbacks: list[Callable[[list[Parameter]], Any]] = []
-        self.post_callbacks: list[Callable[[list[Parameter]], None]] = []
 
     # Declaring
 
     def declare(
-        self, namespace: str, parameters: Iterable[Sequence[Any]], ignore_override: bool = False
-    ) -> list[Parameter]:
-        """Declare parameters.
+        self, name: str, value: Any, descriptor: Any, ignore_override: bool
+    ) -> Parameter:
+        """Declare a parameter.
 
         Args:
-            namespace: prefix of the names, or ''.
-            parameters: for each parameter its name and optionally its default (or type) and
-                descriptor.
-            ignore_override: use the defaults even if there are overrides.
+            name: its name.
+            value: its default, which determines the type.
+            descriptor: rcl_interfaces/ParameterDescriptor, or None.
+            ignore_override: use the default even if there is an override.
 
         Raises:
-            ParameterAlreadyDeclaredException: a parameter is already declared.
-            InvalidParameterException: a name is invalid.
-            InvalidParameterTypeException: an override has another type.
-            InvalidParameterValueException: a value was rejected.
-            ValueError: a parameter of fixed type has neither type nor default.
+            ParameterAlreadyDeclaredException: the parameter is already declared.
+            InvalidParameterException: the name is invalid.
+            InvalidParameterTypeException: the override has another type.
+            InvalidParameterValueException: the value was rejected.
+            NotImplementedError: there is no default.
         """
-        declarations = []
-        for entry in parameters:
-            if not 1 <= len(entry) <= 3:
-                raise TypeError(f'{entry!r}: expected a name, a value or type, a descriptor')
-            declarations.append(self._declaration(namespace, ignore_override, *entry))
-        declared = [p.name for p, _ in declarations if p.name in self._values]
-        if declared:
-            raise ParameterAlreadyDeclaredException(declared)
-        for parameter, descriptor in declarations:
-            result = self._set([parameter], {parameter.name: descriptor})
-            if not result.successful:
-                if result.reason.startswith('Wrong parameter type'):
-                    kind = Parameter.Type(descriptor.type).name
-                    raise InvalidParameterTypeException(parameter, kind)
-                raise InvalidParameterValueException(
-                    parameter.name, parameter.value, result.reason
-                )
-        return [self._values[parameter.name] for parameter, _ in declarations]
-
-    def _declaration(
-        self,
-        namespace: str,
-        ignore_override: bool,
-        name: str,
-        value: Any = None,
-        descriptor: Any = None,
-    ) -> tuple[Parameter, Any]:
-        """Return the initial value and the complete descriptor of a parameter to declare."""
-        if not isinstance(name, str):
-            raise TypeError(f'{name!r}: expected the name of a parameter')
-        name = f'{namespace}.{name}' if namespace else name
-        if not name or not re.fullmatch(r'[^\s]+', name):
+        if not re.fullmatch(r'[^\s]+', name):
             raise InvalidParameterException(name)
-        untyped = descriptor is None and value is None
-        if descriptor is None:
-            descriptor = _message('ParameterDescriptor', dynamic_typing=untyped)
-        elif type(descriptor) is not message_class(_MSG + 'ParameterDescriptor'):
-            raise TypeError(f'{descriptor!r}: expected a ParameterDescriptor')
-        if isinstance(value, Parameter.Type):
-            if value == Parameter.Type.NOT_SET:
-                raise ValueError(f'{name}: cannot be of type NOT_SET')
-            if descriptor.dynamic_typing:
-                raise ValueError(f'{name}: dynamic_typing is not allowed together with a type')
-            descriptor.type, value = value.value, None
-        elif not descriptor.dynamic_typing:
-            descriptor.type = Parameter.Type.from_parameter_value(value).value
-            if descriptor.type == Parameter.Type.NOT_SET.value:
-                raise ValueError(f'{name}: expected a default, or a type, or dynamic_typing')
+        if name in self._values:
+            raise ParameterAlreadyDeclaredException([name])
+        if value is None or isinstance(value, Parameter.Type):
+            raise NotImplementedError(
+                f'{name}: the stand-in for rclpy does not support parameters without a default'
+            )
+        descriptor = descriptor or _message('ParameterDescriptor')
+        descriptor.type = Parameter.Type.from_parameter_value(value).value
         if not ignore_override and name in self.overrides:
             value = self.overrides[name].value
-        return Parameter(name, value=value), descriptor
+        parameter = Parameter(name, value=value)
+        result = self._set([parameter], descriptor)
+        if not result.successful:
+            if result.reason.startswith('Wrong parameter type'):
+                kind = Parameter.Type(descriptor.type).name
+                raise InvalidParameterTypeException(parameter, kind)
+            raise InvalidParameterValueException(name, value, result.reason)
+        return parameter
 
     def undeclare(self, name: str) -> None:
         """Undeclare a parameter.
@@ -238,7 +205,7 @@ class Parameters:
             ParameterImmutableException: the parameter is read-only.
         """
         with self._lock:
-            if self._descriptor(name).read_only:
+            if self.describe(name).read_only:
                 raise ParameterImmutableException(name)
             del self._values[name], self._descriptors[name]
 
@@ -249,21 +216,9 @@ class Parameters:
         return name in self._values
 
     def get(self, name: str) -> Parameter:
-        """Return a parameter.
-
-        Raises:
-            ParameterNotDeclaredException: the parameter is not declared.
-            ParameterUninitializedException: the parameter has a type but no value yet.
-        """
-        self._descriptor(name)
-        found = self._values[name]
-        if found.type_ == Parameter.Type.NOT_SET and not self._descriptors[name].dynamic_typing:
-            raise ParameterUninitializedException(name)
-        return found
-
-    def get_or_unset(self, name: str) -> Parameter:
-        """Return a parameter; one without value if it is not declared."""
-        return self._values.get(name) or Parameter(name)
+        """Return a parameter; raises ParameterNotDeclaredException."""
+        self.describe(name)
+        return self._values[name]
 
     def by_prefix(self, prefix: str) -> dict[str, Parameter]:
         """Return the parameters below a prefix, by name relative to it."""
@@ -276,7 +231,9 @@ class Parameters:
 
     def describe(self, name: str) -> Any:
         """Return the descriptor of a parameter; raises ParameterNotDeclaredException."""
-        return self._descriptor(name)
+        if name not in self._values:
+            raise ParameterNotDeclaredException(name)
+        return self._descriptors[name]
 
     def list(self, prefixes: Sequence[str], depth: int) -> Any:
         """Return the names below the prefixes, at most ``depth`` levels deep (0: all)."""
@@ -293,11 +250,6 @@ class Parameters:
                     parents.add(name.rpartition('.')[0])
         return _message('ListParametersResult', names=names, prefixes=sorted(parents))
 
-    def _descriptor(self, name: str) -> Any:
-        if name not in self._values:
-            raise ParameterNotDeclaredException(name)
-        return self._descriptors[name]
-
     # Setting
 
     def set(self, parameters: Sequence[Parameter]) -> Any:
@@ -311,12 +263,16 @@ class Parameters:
             raise ParameterNotDeclaredException(unknown)
         return self._set(parameters)
 
-    def _set(self, parameters: Sequence[Parameter], new: dict[str, Any] | None = None) -> Any:
-        """Set parameters; ``new`` contains the descriptors of parameters being declared."""
+    def _set(self, parameters: Sequence[Parameter], new: Any = None) -> Any:
+        """Set parameters; ``new`` is the descriptor of one that is being declared."""
         with self._lock:
             try:
                 for parameter in parameters:
-                    self._check(parameter, (new or self._descriptors).get(parameter.name), new)
+                    if new is None and self._descriptors[parameter.name].read_only:
+                        raise _Rejected(
+                            f'Trying to set a read-only parameter: {parameter.name}.'
+                        )
+                    _check(parameter, new or self._descriptors[parameter.name])
             except _Rejected as rejection:
                 return _message('SetParametersResult', reason=str(rejection))
             for callback in list(self.callbacks):
@@ -325,84 +281,32 @@ class Parameters:
                     return result
             event = _message('ParameterEvent', node=self._node_name)
             for parameter in parameters:
-                name = parameter.name
-                if new is None and parameter.type_ == Parameter.Type.NOT_SET:
-                    event.deleted_parameters.append(parameter.to_parameter_msg())
-                    self._values.pop(name, None)
-                    self._descriptors.pop(name, None)
-                    continue
                 if new is not None:
-                    self._descriptors[name] = new[name]
-                self._descriptors.setdefault(
-                    name,
-                    _message(
-                        'ParameterDescriptor',
-                        name=name,
-                        type=parameter.type_.value,
-                        dynamic_typing=True,
-                    ),
-                )
-                is_new = self.get_or_unset(name).type_ == Parameter.Type.NOT_SET
-                (event.new_parameters if is_new else event.changed_parameters).append(
-                    parameter.to_parameter_msg()
-                )
-                self._values[name] = parameter
+                    self._descriptors[parameter.name] = new
+                changes = event.changed_parameters if new is None else event.new_parameters
+                changes.append(parameter.to_parameter_msg())
+                self._values[parameter.name] = parameter
         self._on_change(event)
-        for post in list(self.post_callbacks):
-            post(list(parameters))
         return _message('SetParametersResult', successful=True)
 
-    def _check(self, parameter: Parameter, descriptor: Any, declared: Any) -> None:
-        """Raise _Rejected if a descriptor does not allow a value."""
-        if descriptor is None:
+
+def _check(parameter: Parameter, descriptor: Any) -> None:
+    """Raise _Rejected if a descriptor does not allow a value."""
+    name, kind, value = parameter.name, parameter.type_, parameter.value
+    descriptor.name = name
+    if kind.value != descriptor.type:
+        # An empty list gets the type BYTE_ARRAY, but is a valid value of any array type.
+        expected = Parameter.Type(descriptor.type)
+        if kind == Parameter.Type.BYTE_ARRAY and expected in _ARRAYS and not len(value):
+            parameter.type_ = expected
             return
-        descriptor.name = parameter.name
-        name, kind, value = parameter.name, parameter.type_, parameter.value
-        if declared is None and descriptor.read_only:
-            raise _Rejected(f'Trying to set a read-only parameter: {name}.')
-        if descriptor.dynamic_typing:
-            descriptor.type = kind.value
-        elif kind == Parameter.Type.NOT_SET:
-            if self.has(name):
-                raise _Rejected('Static parameter cannot be undeclared')
-        elif kind.value != descriptor.type:
-            # An empty list gets the type BYTE_ARRAY, but is a valid value of any array type.
-            expected = Parameter.Type(descriptor.type)
-            if kind == Parameter.Type.BYTE_ARRAY and expected in _ARRAYS and not len(value):
-                parameter.type_ = expected
-                return
-            raise _Rejected(f"Wrong parameter type, expected '{expected}' got '{kind}'")
-        if kind == Parameter.Type.INTEGER and descriptor.integer_range:
-            low, high, step = _limits(descriptor.integer_range[0])
-            if not low <= value <= high:
-                raise _Rejected(_out_of_range(name, low, high, value))
-            if step and value != high and (value - low) % step:
-                raise _Rejected(_no_step(name, low, high, value, step))
-        if kind == Parameter.Type.DOUBLE and descriptor.floating_point_range:
-            low, high, step = _limits(descriptor.floating_point_range[0])
-            if _close(value, low) or _close(value, high):
-                return
-            if not low < value < high:
-                raise _Rejected(_out_of_range(name, low, high, value))
-            if step and not _close(low + round((value - low) / step) * step, value):
-                raise _Rejected(_no_step(name, low, high, value, step))
-
-
-def _limits(limits: Any) -> tuple[Any, Any, Any]:
-    low, high = sorted((limits.from_value, limits.to_value))
-    return low, high, limits.step
-
-
-def _close(a: float, b: float) -> bool:
-    return math.isclose(a, b, rel_tol=_RELATIVE_TOLERANCE)
-
-
-def _out_of_range(name: str, low: Any, high: Any, value: Any) -> str:
-    return f'Parameter {name} out of range. Min: {low}, Max: {high}, value: {value}'
-
-
-def _no_step(name: str, low: Any, high: Any, value: Any, step: Any) -> str:
-    return (
-        f'The parameter value for {name} is not a valid step. '
-        f'Min: {low}, max: {high}, value: {value}, step: {step}'
-    )
+        raise _Rejected(f"Wrong parameter type, expected '{expected}' got '{kind}'")
+    for limits in (*descriptor.integer_range, *descriptor.floating_point_range):
+        low, high = sorted((limits.from_value, limits.to_value))
+        is_close = kind == Parameter.Type.DOUBLE and any(
+            math.isclose(value, limit, rel_tol=_RELATIVE_TOLERANCE) for limit in (low, high)
+        )
+        if not (low <= value <= high or is_close):
+            raise _Rejected(
+                f'Parameter {name} out of range. Min: {low}, Max: {high}, value: {value}'
+            )

@@ -4,13 +4,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
 
-from rclpy_standin.clock import Duration
 from rclpy_standin.dds import EndpointQos
-
-_INFINITE = Duration(nanoseconds=2**63 - 1)
-_UNSPECIFIED = Duration()
 
 
 class InvalidQoSProfileException(Exception):  # noqa: N818
@@ -30,9 +27,6 @@ class QoSPolicyKind(IntEnum):
     RELIABILITY = 16
     HISTORY = 32
     LIFESPAN = 64
-    DEPTH = 128
-    LIVELINESS_LEASE_DURATION = 256
-    AVOID_ROS_NAMESPACE_CONVENTIONS = 512
 
 
 POLICY_KINDS = {
@@ -52,7 +46,6 @@ class HistoryPolicy(IntEnum):
     SYSTEM_DEFAULT = 0
     KEEP_LAST = 1
     KEEP_ALL = 2
-    UNKNOWN = 3
 
 
 class ReliabilityPolicy(IntEnum):
@@ -61,8 +54,6 @@ class ReliabilityPolicy(IntEnum):
     SYSTEM_DEFAULT = 0
     RELIABLE = 1
     BEST_EFFORT = 2
-    UNKNOWN = 3
-    BEST_AVAILABLE = 4
 
 
 class DurabilityPolicy(IntEnum):
@@ -71,41 +62,26 @@ class DurabilityPolicy(IntEnum):
     SYSTEM_DEFAULT = 0
     TRANSIENT_LOCAL = 1
     VOLATILE = 2
-    UNKNOWN = 3
-    BEST_AVAILABLE = 4
 
 
-class LivelinessPolicy(IntEnum):
-    """How a publisher asserts that it is alive."""
-
-    SYSTEM_DEFAULT = 0
-    AUTOMATIC = 1
-    MANUAL_BY_TOPIC = 3
-    UNKNOWN = 4
-    BEST_AVAILABLE = 5
-
-
+@dataclass(init=False)
 class QoSProfile:
     """Quality of service of a publisher, subscription, service or client."""
 
-    __slots__ = (
-        'avoid_ros_namespace_conventions', 'deadline', 'depth', 'durability', 'history',
-        'lifespan', 'liveliness', 'liveliness_lease_duration', 'reliability',
-    )
+    history: HistoryPolicy
+    depth: int
+    reliability: ReliabilityPolicy
+    durability: DurabilityPolicy
 
     def __init__(
-        self,
-        *,
-        history: HistoryPolicy | int | None = None,
-        depth: int | None = None,
+        self, *, history: HistoryPolicy | int | None = None, depth: int | None = None,
         reliability: ReliabilityPolicy | int = ReliabilityPolicy.RELIABLE,
-        durability: DurabilityPolicy | int = DurabilityPolicy.VOLATILE,
-        lifespan: Duration = _UNSPECIFIED,
-        deadline: Duration = _UNSPECIFIED,
-        liveliness: LivelinessPolicy | int = LivelinessPolicy.SYSTEM_DEFAULT,
-        liveliness_lease_duration: Duration = _UNSPECIFIED,
-        avoid_ros_namespace_conventions: bool = False,
+        durability: DurabilityPolicy | int = DurabilityPolicy.VOLATILE, **unsupported: object,
     ) -> None:
+        if unsupported:
+            raise NotImplementedError(
+                f'the stand-in for rclpy does not support {", ".join(unsupported)}'
+            )
         if history is None and depth is None:
             raise InvalidQoSProfileException('History and/or depth settings are required.')
         self.history = HistoryPolicy(HistoryPolicy.KEEP_LAST if history is None else history)
@@ -116,23 +92,6 @@ class QoSProfile:
             raise ValueError(f'depth {depth!r}: expected an integer >= 0')
         self.reliability = ReliabilityPolicy(reliability)
         self.durability = DurabilityPolicy(durability)
-        self.lifespan = lifespan
-        self.deadline = deadline
-        self.liveliness = LivelinessPolicy(liveliness)
-        self.liveliness_lease_duration = liveliness_lease_duration
-        self.avoid_ros_namespace_conventions = avoid_ros_namespace_conventions
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, QoSProfile) and all(
-            getattr(self, name) == getattr(other, name) for name in self.__slots__
-        )
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __str__(self) -> str:
-        return f'QoSProfile({", ".join(f"{n}={getattr(self, n)}" for n in self.__slots__)})'
-
-    __repr__ = __str__
 
 
 qos_profile_sensor_data = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -146,27 +105,12 @@ def to_profile(qos: QoSProfile | int) -> QoSProfile:
     if isinstance(qos, QoSProfile):
         return qos
     if isinstance(qos, int) and not isinstance(qos, bool):
-        if qos < 0:
-            raise ValueError('history depth must be greater than or equal to zero')
         return QoSProfile(depth=qos)
     raise TypeError(f'Expected QoSProfile or int, but received {type(qos)!r}')
 
 
 def to_dds(qos: QoSProfile) -> EndpointQos:
-    """Convert a profile to the QoS of a DDS endpoint.
-
-    Raises:
-        NotImplementedError: the profile has an unsupported setting.
-    """
-    for name in ('lifespan', 'deadline', 'liveliness_lease_duration'):
-        if getattr(qos, name) not in (_UNSPECIFIED, _INFINITE):
-            raise NotImplementedError(f'the stand-in for rclpy does not support {name}')
-    automatic = (LivelinessPolicy.SYSTEM_DEFAULT, LivelinessPolicy.AUTOMATIC)
-    if qos.liveliness not in automatic:
-        raise NotImplementedError(f'the stand-in for rclpy does not support {qos.liveliness!r}')
-    for policy in (qos.history, qos.reliability, qos.durability):
-        if policy.name in ('UNKNOWN', 'BEST_AVAILABLE'):
-            raise NotImplementedError(f'the stand-in for rclpy does not support {policy!r}')
+    """Convert a profile to the QoS of a DDS endpoint."""
     return EndpointQos(
         None if qos.history == HistoryPolicy.KEEP_ALL else max(1, qos.depth),
         qos.reliability != ReliabilityPolicy.BEST_EFFORT,
@@ -176,7 +120,6 @@ def to_dds(qos: QoSProfile) -> EndpointQos:
 
 def from_dds(qos: EndpointQos) -> QoSProfile:
     """Convert the QoS of a discovered endpoint to a profile."""
-    lifespan = _INFINITE if qos.lifespan_ns is None else Duration(nanoseconds=qos.lifespan_ns)
     return QoSProfile(
         history=HistoryPolicy.KEEP_ALL if qos.depth is None else HistoryPolicy.KEEP_LAST,
         depth=qos.depth or 0,
@@ -184,8 +127,4 @@ def from_dds(qos: EndpointQos) -> QoSProfile:
         durability=DurabilityPolicy.TRANSIENT_LOCAL
         if qos.transient_local
         else DurabilityPolicy.VOLATILE,
-        lifespan=lifespan,
-        deadline=_INFINITE,
-        liveliness=LivelinessPolicy.AUTOMATIC,
-        liveliness_lease_duration=_INFINITE,
     )

@@ -9,7 +9,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy_standin.dds import SERVICE_HEADER_BYTES, user_value
 from rclpy_standin.node_parts import NodePart, Waitable, check_arguments
@@ -87,15 +87,6 @@ class _ServiceEndpoints(NodePart):
         self._writer.write(data)
 
 
-class RequestId(NamedTuple):
-    """Identification of a request."""
-
-    client_id: int
-    sequence_number: int
-    writer: int
-    """Instance handle of the client's writer."""
-
-
 class Service(_ServiceEndpoints):
     """A service server."""
 
@@ -119,17 +110,13 @@ class Service(_ServiceEndpoints):
         client_id, number, request = taken.value
         if request is not None:
             response = self.callback(request, self.srv_type.Response())
-            self.send_response(response, RequestId(client_id, number, taken.publication_handle))
+            if not isinstance(response, self.srv_type.Response):
+                raise TypeError(
+                    f'{self.srv_name}: expected {self.srv_type.Response}, not {response!r}'
+                )
+            if self._client_is_reachable(taken.publication_handle):
+                self._send(response, client_id, number)
         return True
-
-    def send_response(self, response: Any, header: RequestId) -> None:
-        """Send the response to a request."""
-        if not isinstance(response, self.srv_type.Response):
-            raise TypeError(
-                f'{self.srv_name}: expected {self.srv_type.Response}, not {response!r}'
-            )
-        if self._client_is_reachable(header.writer):
-            self._send(response, header.client_id, header.sequence_number)
 
     def _client_is_reachable(self, writer: int) -> bool:
         """Wait for discovery of the client's reader: earlier replies would be lost."""

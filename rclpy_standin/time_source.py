@@ -36,12 +36,12 @@ class TimeSource:
                 f'Invalid type for parameter {USE_SIM_TIME!r}: should be bool'
             )
             return
-        self._clock._set_ros_time_is_active(enabled)
+        self._clock.set_simulated(enabled)
         if enabled and self._subscription is None:
             self._subscription = self._node.create_subscription(
                 message_class('rosgraph_msgs/msg/Clock'),
                 '/clock',
-                lambda message: self._clock.set_ros_time_override(Time.from_msg(message.clock)),
+                lambda message: self._clock.simulate(Time.from_msg(message.clock).nanoseconds),
                 _CLOCK_QOS,
             )
         elif not enabled and self._subscription is not None:

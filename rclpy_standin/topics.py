@@ -31,9 +31,7 @@ class Publisher(NodePart):
         self.topic, self.topic_name = topic, node.names.resolve(topic)
         self.qos_profile = qos_profile
         self._writer: Writer = node.context.participant.writer(
-            _dds_name(self.topic_name, qos_profile),
-            msg_type.__msgtype__,
-            qos or to_dds(qos_profile),
+            f'rt{self.topic_name}', msg_type.__msgtype__, qos or to_dds(qos_profile)
         )
         self._events = Events(
             self._writer, SubscriptionEventCallbacks(), node.logger, self.topic_name
@@ -69,8 +67,7 @@ class Publisher(NodePart):
 
     def waitables(self) -> list[Waitable]:
         """Return the entities to wait for."""
-        reference = self._events.reference
-        return [] if reference is None else [Waitable(reference, self._events.execute)]
+        return [self._events.waitable()]
 
     def gids(self) -> tuple[list[bytes], list[bytes]]:
         """Return the GIDs of the readers and of the writers to announce in the graph."""
@@ -103,7 +100,7 @@ class Subscription(NodePart):
         self.callback = callback
         check_arguments(callback, 1)
         self._reader = node.context.participant.reader(
-            _dds_name(self.topic_name, qos_profile), msg_type.__msgtype__, to_dds(qos_profile)
+            f'rt{self.topic_name}', msg_type.__msgtype__, to_dds(qos_profile)
         )
         self._events = Events(self._reader, callbacks, node.logger, self.topic_name)
 
@@ -127,11 +124,7 @@ class Subscription(NodePart):
 
     def waitables(self) -> list[Waitable]:
         """Return the entities to wait for."""
-        waitables = [Waitable(self._reader.condition, self.execute)]
-        reference = self._events.reference
-        if reference is not None:
-            waitables.append(Waitable(reference, self._events.execute))
-        return waitables
+        return [Waitable(self._reader.condition, self.execute), self._events.waitable()]
 
     def gids(self) -> tuple[list[bytes], list[bytes]]:
         """Return the GIDs of the readers and of the writers to announce in the graph."""
@@ -141,7 +134,3 @@ class Subscription(NodePart):
         """Delete the DDS entities."""
         self._closed = True
         self._reader.close()
-
-
-def _dds_name(topic: str, qos: QoSProfile) -> str:
-    return topic if qos.avoid_ros_namespace_conventions else f'rt{topic}'

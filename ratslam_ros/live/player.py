@@ -164,11 +164,12 @@ class _Player:
             self._wait()
             time.sleep(SETTLE_S)
         missing = self._missing()
-        if missing and not any(map(_subscriber_count, self._publishers.values())):
+        publishers = self._publishers.values()
+        if missing and not any(one.get_subscription_count() for one in publishers):
+            names = ' or '.join(one.topic_name for one in publishers)
             raise UnusableInput(
-                f'no node subscribes to {" or ".join(self._full_names())}: start the nodes first '
-                '(ratslam launch), in the same namespace and with the same ROS_DOMAIN_ID, or wait '
-                'longer with --wait'
+                f'no node subscribes to {names}: start the nodes first (ratslam launch), in the '
+                'same namespace and with the same ROS_DOMAIN_ID, or wait longer with --wait'
             )
         action = self._node.resolve_topic_name(ACTION)
         if self._actions is not None and not self._node.count_publishers(action):
@@ -285,8 +286,9 @@ class _Player:
     def _missing(self) -> list[str]:
         """Return the missing publishers and subscribers, in words."""
         node, missing = self._node, []
-        for publisher, name in zip(self._publishers.values(), self._full_names(), strict=True):
-            if not _subscriber_count(publisher):
+        for publisher in self._publishers.values():
+            name = publisher.topic_name
+            if not publisher.get_subscription_count():
                 missing.append(f'a subscriber of {name}')
             # The name of a node may become visible after its subscriptions.
             readers = node.get_subscriptions_info_by_topic(name)
@@ -308,9 +310,6 @@ class _Player:
                 ):
                     missing.append(f'a subscriber of {full}')
         return list(dict.fromkeys(missing))
-
-    def _full_names(self) -> list[str]:
-        return [self._node.resolve_topic_name(topic) for topic in self._publishers]
 
 
 @contextmanager
@@ -334,7 +333,3 @@ def _running_clock(publisher: Any, pacing: Pacing) -> Iterator[None]:
         stopped.set()
         thread.join()
         publish()  # The last time is that of the last message.
-
-
-def _subscriber_count(publisher: Any) -> int:
-    return int(publisher.get_subscription_count())

@@ -172,9 +172,14 @@ class Host(Process):
         """Feed a received item, and process all that need not wait any longer."""
         with self.ready() as live:
             self._count_paused(stream)
-            if self.chain.is_followed or not all(map(live.is_paused, self.pipeline.stages)):
+            if not self._is_paused:
                 self.map.recovery.note(stream, stamp_ns)
                 live.feed(stream, stamp_ns, item)
+
+    @property
+    def _is_paused(self) -> bool:
+        """Whether received items are ignored: all stages are paused, and no process follows."""
+        return not self.chain.is_followed and all(map(self.live.is_paused, self.pipeline.stages))
 
     def _count_paused(self, stream: str) -> None:
         for node in self._takers.get(stream, ()):
@@ -233,8 +238,7 @@ class Host(Process):
 
     def cut(self, cut: Cut) -> None:
         """Save the state, and let the process that follows do so after the same item."""
-        for reach in self.on_cut:
-            reach(index_of(cut))
+        self._reach(index_of(cut))
         self.live.pass_cut(cut)
         self.map.write(cut)
 
@@ -290,6 +294,8 @@ class Host(Process):
         silent_s = [one.silent_s() for node in self.nodes for one in node.inputs]
         if self.map.recovery.is_catching_up:
             return
+        if self._is_paused:
+            self._reach(None)  # no cut follows from inputs that are ignored
         after_s = min(node.config.inputs.flush_after_s for node in self.nodes)
         was_silent, self._was_silent = (
             self._was_silent, all(one >= after_s for one in silent_s)
@@ -304,9 +310,14 @@ class Host(Process):
                 self.map.replay()
                 self.live.finish()
                 self._count_dropped(self.nodes[0], 'its inputs', order.newest_ns or 0)
-            for reach in self.on_cut:
-                reach(None)
+            self._reach(None)
             self.map.pause()
+
+    def _reach(self, number: int | None) -> None:
+        """Report the number of a cut that is due, or None as no further messages arrive."""
+        with self.lock:
+            for reach in self.on_cut:
+                reach(number)
 
     def _must_wait(self, stamp_ns: int) -> bool:
         """Return whether the answer for which an item waits may still come."""

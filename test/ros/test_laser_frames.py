@@ -84,6 +84,19 @@ def test_a_laser_without_a_transform_is_used_with_a_warning(
     assert notice.startswith('there is no transform from base_footprint to laser on /tf_static')
 
 
+def test_laser_is_placed_although_no_odometry_has_named_the_robot(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scans, 'MOUNT_TIMEOUT_S', 0.3)
+    robot = Robot(world)
+    robot.mount(Pose(0.3, 0.0, math.pi), parent='base_link')
+    for tick in range(2):
+        robot.scan(tick)
+    robot.made.until(lambda: len(robot.used) == 2)
+    assert [(one.x_m, one.y_m) for one in robot.used] == [(0.3, 0.0)] * 2
+    assert 'notice' not in robot.made.diagnostics()['experience_map']
+
+
 def test_frames_of_the_odometry_are_taken_from_its_messages(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.odometry(0)

@@ -18,7 +18,7 @@ import rclpy
 from helpers import START_NS
 from ros_messages import MakeWorld, image, odometry, string
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config
@@ -61,13 +61,17 @@ class Nodes:
         self.statuses = self.world.listen(String, 'ratslam/map_status', LATCHED)
         self.count = 0
 
+    def send(self) -> None:
+        """Send odometry and a new view."""
+        stamp_ns = START_NS + self.count * PERIOD_NS
+        self.world.send('odom', odometry(stamp_ns, 1.0))
+        self.world.send('image', image(stamp_ns, self.count))
+        self.count += 1
+
     def drive(self, images: int) -> None:
         """Drive past new views."""
         for _ in range(images):
-            stamp_ns = START_NS + self.count * PERIOD_NS
-            self.world.send('odom', odometry(stamp_ns, 1.0))
-            self.world.send('image', image(stamp_ns, self.count))
-            self.count += 1
+            self.send()
             self.world.spin(0.02)
 
     def experiences(self) -> int:
@@ -146,6 +150,39 @@ def test_map_that_one_node_cannot_load_changes_none(world: MakeWorld, tmp_path: 
     assert nodes.experiences() == count
     nodes.drive(6)
     assert nodes.until_mapped() > count
+
+
+def test_failed_load_leaves_a_map_that_was_loaded_before(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
+    nodes.drive(6)
+    nodes.until_mapped()
+    assert nodes.ask('save', 'good')['state'] == 'done'
+    nodes.drive(6)
+    nodes.until_mapped()
+    assert nodes.ask('load', 'good')['state'] == 'done'
+    states = dict(read_map(tmp_path / 'good.ratslam').states)
+    del states['pose_cells']['core']
+    save_map(tmp_path / 'bad.ratslam', states, MapMeta())
+    cells = nodes.world.nodes[1]._core
+    count = len(cells)
+    assert nodes.ask('load', 'bad')['state'] == 'failed'
+    nodes.world.spin(0.3)
+    assert len(nodes.world.nodes[1]._core) == count
+
+
+def test_map_of_paused_nodes_is_saved_while_messages_arrive(
+    world: MakeWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('ratslam_ros.ros.mapping.map_operations.TIMEOUT_S', 8.0)
+    nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
+    nodes.drive(6)
+    nodes.until_mapped()
+    for node in nodes.world.nodes:
+        assert nodes.world.call(SetBool, f'{node.SECTION}/pause', data=True).success
+    nodes.world.tester.create_timer(0.05, nodes.send)
+    assert nodes.ask('save', 'paused')['state'] == 'done'
 
 
 def test_missing_map_is_refused_at_once(world: MakeWorld, tmp_path: Path) -> None:

@@ -87,8 +87,8 @@ class MapOperations:
             self._saving = command
         elif command.operation == LOAD:
             previous = self.host.live.state_of(self.node.SECTION)
-            if self._carry_out(command, partial(self.load, self.path_of(command.name))):
-                self._previous = previous
+            is_loaded = self._carry_out(command, partial(self.load, self.path_of(command.name)))
+            self._previous = previous if is_loaded else None
         elif self._previous is not None:
             self.replace_memory(self._previous)
             self._previous = None

@@ -65,7 +65,7 @@ class ScanInput:
     def receive(self, message: LaserScan) -> None:
         """Use a scan, or keep it until the place of its laser is known."""
         if not self._waiting:
-            if self._try(message):
+            if self._try(message, self._base_frame()):
                 return
             self._waiting_since_s = time.monotonic()
         if len(self._waiting) >= MAX_WAITING:
@@ -82,26 +82,32 @@ class ScanInput:
 
     def update(self) -> None:
         """Use the scans whose transform has come, or which have waited for too long."""
-        while self._waiting and self._try(self._waiting[0]):
+        while self._waiting and self._try(self._waiting[0], self._base_frame()):
             del self._waiting[0]
         if not self._waiting or time.monotonic() - self._waiting_since_s < MOUNT_TIMEOUT_S:
             return
+        # Odometry that has not come has not named the frame of the robot.
         frame, base = self._waiting[0].header.frame_id, self._base_frame() or BASE_FRAME
-        self._mounts[frame] = CENTRED
-        self._warn(
-            f'there is no transform from {base} to {frame} on /tf_static or /tf: the laser is '
-            "taken to sit at the robot's centre and to look ahead. If it does not: ros2 run "
-            f'tf2_ros static_transform_publisher --x 0.1 --yaw 0 --frame-id {base} '
-            f'--child-frame-id {frame}'
-        )
+        if self._try(self._waiting[0], base):
+            del self._waiting[0]
+        else:
+            self._mounts[frame] = CENTRED
+            self._warn(
+                f'there is no transform from {base} to {frame} on /tf_static or /tf: the laser is '
+                "taken to sit at the robot's centre and to look ahead. If it does not: ros2 run "
+                f'tf2_ros static_transform_publisher --x 0.1 --yaw 0 --frame-id {base} '
+                f'--child-frame-id {frame}'
+            )
         self._waiting_since_s = time.monotonic()
         self.update()
 
-    def _try(self, message: LaserScan) -> bool:
+    def _try(self, message: LaserScan, base: str | None) -> bool:
         """Use or refuse a scan; return False if the place of its laser is not known yet."""
         frame = message.header.frame_id
         try:
-            mount = self._mounts.get(frame) or self._find(frame)
+            mount = self._mounts.get(frame)
+            if mount is None and (base is not None or not frame):
+                mount = self._tree.mount_of(frame, base or BASE_FRAME)
             if mount is None:
                 return False
             self._mounts[frame] = mount
@@ -109,12 +115,6 @@ class ScanInput:
         except (UnusableMount, UnusableScan) as error:
             self._refuse('scan', str(error))
         return True
-
-    def _find(self, frame: str) -> Mount | None:
-        if not frame:
-            return CENTRED
-        base = self._base_frame()
-        return None if base is None else self._tree.mount_of(frame, base)
 
     def _on_transforms(self, message: TFMessage) -> None:
         add_transforms(self._tree, message)
