@@ -25,14 +25,22 @@ def correct_turns(
     if own.parameters.exp_align_scans:
         return
     own.link_table.correct_turns(before, now)
-    x, y, turn = own.offset
-    distance = math.hypot(x, y)
-    half = 0.5 * (now.corrected(before.measured(turn, distance), distance) - turn)
-    own.offset = composed(Pose(0.0, 0.0, half), Pose(x, y, turn + half))
+    own.offset = _corrected(own.offset, before, now)
+    if (departure := own.departure) is not None:
+        offset = _corrected(departure.offset, before, now)
+        own.departure = departure._replace(offset=offset)
     if not is_small_error(now.gain / before.gain):
         own.link_table.shares[:] = 1.0  # of recognitions, which had to agree with a wrong map
         _compose(own)
     own.optimiser.measurement_changed()
+
+
+def _corrected(pose: Pose, before: TurnCorrection, now: TurnCorrection) -> Pose:
+    """Return a relative pose by odometry with another correction of its turn."""
+    x, y, turn = pose
+    distance = math.hypot(x, y)
+    half = 0.5 * (now.corrected(before.measured(turn, distance), distance) - turn)
+    return composed(Pose(0.0, 0.0, half), Pose(x, y, turn + half))
 
 
 def _compose(experience_map: ExperienceMap) -> None:

@@ -33,6 +33,7 @@ from ratslam_ros.core.mapping.map_update import MapUpdate
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
 from ratslam_ros.core.mapping.pose_covariance import PoseCovariance, isotropic
 from ratslam_ros.core.mapping.pose_hint import GivenHint
+from ratslam_ros.core.mapping.robot_on_graph import Departure
 from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
@@ -40,6 +41,11 @@ from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 
 RELOCATED = isotropic(0.1, math.radians(2.0))
 """Covariance of a pose that scans have proven."""
+
+
+BYPASS_SPACINGS = 5.0
+"""Distance driven past known places, in view spacings, up to which a link bypasses them. Links are
+straight, and routes lead over them."""
 
 
 class ExperienceMap(LinkedGraph, Saved):
@@ -68,6 +74,12 @@ class ExperienceMap(LinkedGraph, Saved):
               fits=('links of known experiences', lambda rows, state: all(
                   abs(at_m) <= MAX_NUMBER and is_link(link, len(state['poses']))
                   for at_m, *link in rows
+              ))),
+        Field('present/departure', 'departure', float, (6,),
+              save=Departure.state, load=Departure.from_state,
+              when=lambda own: own.departure is not None,
+              fits=('one from a known experience', lambda departure, state: (
+                  0 <= departure[0] < len(state['poses'])
               ))),
         Field('present/covariance', 'covariance', PoseCovariance),
         Field('present/hint', 'hint', list, save=GivenHint.state, load=GivenHint.from_state,
@@ -179,13 +191,20 @@ class ExperienceMap(LinkedGraph, Saved):
                 return MapUpdate(events=events)
         returned = was_rejecting and source == target
         if source != NO_EXPERIENCE and self.mapping and event is None and not returned:
-            is_leaf = action.action == 'create'
-            recognised = action.view_spacing_m > 0.0 and not is_leaf
+            is_leaf, weighs = action.action == 'create', action.view_spacing_m > 0.0
+            departure = self._departure_to(target) if is_leaf and weighs else None
             is_added = self.connect(
-                source, target, target_offset, behaviour, is_leaf, recognised
+                source, target, target_offset, behaviour, is_leaf,
+                recognised=weighs and (not is_leaf or departure is not None),
             )
+            if departure is not None:
+                self.bypass(departure, target, target_offset)
             if is_added and not is_leaf:
                 events += (ClosureEvent('closed', source, target),)
+        if action.action == 'create' or source == NO_EXPERIENCE or event is not None:
+            self.departure = None
+        elif self.departure is None and action.view_spacing_m > 0.0:
+            self.departure = Departure(source, self.offset, self._duration_s, self.travelled_m)
         self.current_id = target
         self.offset = target_offset
         self._duration_s = self.travelled_m = 0.0
@@ -203,6 +222,16 @@ class ExperienceMap(LinkedGraph, Saved):
         self._closures.check_scan(scan_match)
         self._relax()
         return MapUpdate(pruned, events)
+
+    def _departure_to(self, target: int) -> Departure | None:
+        """Return the departure if a link from it to a new experience is as good as straight."""
+        departure = self.departure
+        if (
+            departure is None or self.is_apart(departure.experience_id)
+            or departure.travelled_m > BYPASS_SPACINGS * self.view_spacing_m
+        ):
+            return None
+        return departure
 
     def _joined(self, source: int, target: int, target_offset: Pose) -> ClosureEvent | None:
         """Join the component of the robot and that of a recognised place; return the event."""
@@ -237,7 +266,7 @@ class ExperienceMap(LinkedGraph, Saved):
                 self.connect(source, target_id, target_offset, '', False)
         self._was_relocated = True
         self.carried.restart()
-        self.current_id, self.offset = target_id, target_offset
+        self.current_id, self.offset, self.departure = target_id, target_offset, None
         self._duration_s = self.travelled_m = 0.0
         self.hint = None
         self._locate(ScanMatch(covariance=RELOCATED))

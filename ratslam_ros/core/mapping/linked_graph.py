@@ -25,7 +25,7 @@ from ratslam_ros.core.mapping.link_learning import (
 from ratslam_ros.core.mapping.links import Link, outgoing_from
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_update import PrunedExperience
-from ratslam_ros.core.mapping.robot_on_graph import RobotOnGraph
+from ratslam_ros.core.mapping.robot_on_graph import Departure, RobotOnGraph
 from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnusableInput
@@ -155,18 +155,10 @@ class LinkedGraph(RobotOnGraph):
             Whether the link is new.
         """
         x_m, y_m, facing_rad = composed(self.offset, inverse(target_offset))
-        link = Link(
+        is_new = self._add(Link(
             source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad,
             self._duration_s, behaviour, 1, recognised,
-        )
-        row = self.link_table.row(source, target)
-        if row is None:
-            self.link_table.append(link)
-            if not is_leaf:
-                self.optimiser.structure_changed()
-        else:
-            self.link_table.average(row, link)
-            self.optimiser.measurement_changed()
+        ), is_leaf)
         if behaviour:
             count_other_transitions(self.link_table, source, target, behaviour)
             while True:
@@ -175,6 +167,29 @@ class LinkedGraph(RobotOnGraph):
                 if unlikely is None:
                     break
                 self._unlearn([unlikely])
+        return is_new
+
+    def bypass(self, departure: Departure, target: int, target_offset: Pose) -> None:
+        """Add the link of the driven path to a new experience, past the known places between.
+
+        That of the transition starts where a known place was recognised, with the error of that.
+        """
+        x_m, y_m, facing_rad = composed(departure.offset, inverse(target_offset))
+        self._add(Link(
+            departure.experience_id, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m),
+            facing_rad, departure.duration_s, '', 1, False,
+        ), is_leaf=False)
+
+    def _add(self, link: Link, is_leaf: bool) -> bool:
+        """Add a link, or average it with the one that exists; return whether it is new."""
+        row = self.link_table.row(link.source_id, link.target_id)
+        if row is None:
+            self.link_table.append(link)
+            if not is_leaf:
+                self.optimiser.structure_changed()
+        else:
+            self.link_table.average(row, link)
+            self.optimiser.measurement_changed()
         return row is None
 
     def separate_since(self, odometer_m: float) -> bool:
@@ -226,6 +241,8 @@ class LinkedGraph(RobotOnGraph):
             if to_stand_in is not None:
                 self.offset = composed(to_stand_in.reversed().relative_pose, self.offset)
                 self._duration_s += to_stand_in.duration_s
+        if self.departure is not None and self.departure.experience_id == pruned_id:
+            self.departure = None
         for notify in self.on_pruned:
             notify(pruned_id, stand_in, pose)
         self._delete(self.link_table.rows_at(pruned_id))

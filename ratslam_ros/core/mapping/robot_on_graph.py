@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,38 @@ from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 
 
+class Departure(NamedTuple):
+    """The experience from which the robot came to known places, and its way since by odometry.
+
+    Attributes:
+        experience_id: the experience.
+        offset: pose of the robot in its frame.
+        duration_s, travelled_m: time and distance since.
+    """
+
+    experience_id: int
+    offset: Pose
+    duration_s: float
+    travelled_m: float
+
+    @classmethod
+    def from_state(cls, state: list[float]) -> Self:
+        """Return the departure with a saved state."""
+        experience_id, x_m, y_m, heading_rad, duration_s, travelled_m = state
+        return cls(int(experience_id), Pose(x_m, y_m, heading_rad), duration_s, travelled_m)
+
+    def state(self) -> list[float]:
+        """Return what is saved."""
+        return [self.experience_id, *self.offset, self.duration_s, self.travelled_m]
+
+    def moved(self, motion: Motion) -> Self:
+        """Return the departure after one more motion."""
+        return self._replace(
+            offset=moved(self.offset, motion), duration_s=self.duration_s + motion.dt_s,
+            travelled_m=self.travelled_m + abs(motion.distance_m),
+        )
+
+
 class RobotOnGraph(ExperienceGraph):
     """The experience graph, and the robot's pose relative to its current experience."""
 
@@ -42,6 +75,8 @@ class RobotOnGraph(ExperienceGraph):
         """Id of the current experience, -1 before the first one."""
         self.offset = Pose(0.0, 0.0, 0.0)
         """Pose of the robot in the frame of the current experience, or of the start before it."""
+        self.departure: Departure | None = None
+        """Where the robot came from, if its current experience was known before."""
         self.covariance = PoseCovariance()
         """Covariance of the robot's pose, and why it is unknown if it is."""
         self.hint: GivenHint | None = None
@@ -107,6 +142,8 @@ class RobotOnGraph(ExperienceGraph):
         self._duration_s += motion.dt_s
         self.travelled_m += distance_m
         self._odometer_m += distance_m
+        if self.departure is not None:
+            self.departure = self.departure.moved(motion)
         self.optimiser.noise.integrate(motion)
         self.covariance.integrate(motion, self._noise)
         if self.hint is not None and self._odometer_m - self.hint.odometer_m > LONGEST_M:
@@ -241,7 +278,7 @@ class RobotOnGraph(ExperienceGraph):
         if self.current_id == NO_EXPERIENCE:
             return
         self.offset = composed(inverse(self.origin), self.pose)
-        self.current_id = NO_EXPERIENCE
+        self.current_id, self.departure = NO_EXPERIENCE, None
         self._duration_s = self.travelled_m = 0.0
         self._components.begin()
         self.gate.discard_path()

@@ -12,6 +12,7 @@ from graphs import new_map, place_of
 from helpers import ahead, restored, turning
 
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping import experience_map
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_weights import KERNEL_STDS, geman_mcclure, reach_m
 from ratslam_ros.core.mapping.odometry_noise import PRIOR_STD
@@ -91,6 +92,69 @@ def test_driven_links_are_not_recognitions() -> None:
     kinds = {(k.source_id, k.target_id): k.recognised for k in graph.links()}
     assert not any(kinds[n, n + 1] for n in range(2 * PER_LAP - 1))
     assert all(kinds[PER_LAP + n, n] for n in range(PER_LAP))
+
+
+def act_known(graph: ExperienceMap, target: int) -> None:
+    graph.apply(MapAction(
+        'link', graph.current_id, target, 10 + target, 0.0, place_of(target),
+        view_spacing_m=SPACING_M,
+    ))
+
+
+def test_inexact_recognitions_hardly_shrink_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Least squares shrinks links between places that are recognised within their distance."""
+    step_m, places = 0.25, 2 * PER_LAP
+    half = turning(math.pi * step_m / PER_LAP)
+
+    def radius_m(bypass_spacings: float) -> float:
+        monkeypatch.setattr(experience_map, 'BYPASS_SPACINGS', bypass_spacings)
+        rng, graph = np.random.default_rng(1), new_map()
+        for n in range(5 * 2 * places):  # five laps; on the first, every other step adds a place
+            for motion in (half, ahead(step_m), half) if n else ():
+                graph.integrate(motion)
+            seen = round(n / 2 + rng.normal(0.0, 0.6)) % places
+            if n >= 2 * places and rng.random() < 0.7:
+                if seen != graph.current_id:
+                    act_known(graph, seen)
+            elif n >= 2 * places or n % 2 == 0:
+                act(graph, 'create')
+        settle(graph)
+        circle_m = graph.poses[:places, :2]
+        return float(np.linalg.norm(circle_m - circle_m.mean(axis=0), axis=1).mean())
+
+    spacings = experience_map.BYPASS_SPACINGS
+    assert radius_m(0.0) < 0.85 * TRUE_RADIUS_M
+    assert radius_m(spacings) > 0.93 * TRUE_RADIUS_M
+
+
+@pytest.mark.parametrize('interrupted', [False, True])
+def test_new_place_is_linked_past_the_known_ones(interrupted: bool) -> None:
+    graph = new_map()
+    for target in (0, 1, 2, 1, 0, 3):
+        if target == len(graph):
+            act(graph, 'create')
+        else:
+            act_known(graph, target)
+        graph.integrate(ahead(SPACING_M))
+        if interrupted:
+            graph = restored(graph, graph.parameters)
+    past, start = graph.links()[-1], graph.links()[-2]
+    assert (past.source_id, past.target_id, past.recognised) == (2, 3, False)
+    assert past.distance_m == pytest.approx(3.0 * SPACING_M)
+    assert past.duration_s == pytest.approx(3.0 * start.duration_s)
+    assert (start.source_id, start.target_id, start.recognised) == (0, 3, True)
+
+
+def test_a_long_known_path_is_not_bypassed() -> None:
+    graph = new_map()
+    for target in (0, 1, 0, 1, 0, 1, 0, 2):
+        if target == len(graph):
+            act(graph, 'create')
+        else:
+            act_known(graph, target)
+        graph.integrate(ahead(SPACING_M))
+    link = graph.links()[-1]
+    assert (link.source_id, link.target_id, link.recognised) == (0, 2, False)
 
 
 def test_view_seen_between_two_experiences_keeps_its_offset() -> None:
