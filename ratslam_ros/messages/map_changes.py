@@ -108,7 +108,7 @@ class _Links(_Ends, frozen=True):
     counts: Annotated[_Column[Count], Meta(examples=[[1]])] = []
     """Numbers of transitions."""
     recognised: Annotated[_Flags, Meta(examples=[[0]])] = []
-    """1 if the source was recognised as the place of the target."""
+    """1 if a recognised view determines the link, and not odometry alone."""
     behaviours: Annotated[_Rows, Meta(examples=[[0]])] = []
     """Rows of `names`."""
     names: Annotated[list[Text], Meta(examples=[['left_wall']])] = []

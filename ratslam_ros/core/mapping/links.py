@@ -27,7 +27,7 @@ class Link:
 
     The target is at ``distance_m`` in the direction ``heading_rad`` of the source's frame, and
     its own heading there is ``facing_rad``. ``count``: number of times the transition was made.
-    ``recognised``: the source was recognised as the place of the target; the link is not driven.
+    ``recognised``: a recognised view determines the link, and not odometry alone.
     """
 
     source_id: int

@@ -81,7 +81,7 @@ class LinkRows:
         durations_s: (n,) duration in s.
         confidences: (n,) confidence, from 0 to 1.
         counts: (n,) number of times that the transition was made.
-        recognised: (n,) whether the source was recognised as the place of the target.
+        recognised: (n,) whether a recognised view determines the link, and not odometry alone.
         behaviours: name of the behaviour of each, '' if unknown.
     """
 
