@@ -248,6 +248,11 @@ class Node:
         """Services of the node."""
         return self.__handle.parts(Service)
 
+    @property
+    def clients(self) -> Iterator[Client]:
+        """Service clients of the node."""
+        return self.__handle.parts(Client)
+
     def destroy_publisher(self, part: NodePart) -> bool:
         """Destroy a publisher or another part; return whether it belonged to the node."""
         return self.__handle.discard(part)
@@ -310,6 +315,16 @@ class Node:
             InvalidParameterValueException: the value was rejected.
         """
         return self.__parameters.declare(name, value, descriptor, ignore_override)
+
+    def declare_parameters(
+        self, namespace: str, parameters: Sequence[Sequence[Any]], ignore_override: bool = False
+    ) -> list[Parameter]:
+        """Declare parameters below a namespace, by name, default and descriptor."""
+        prefix = f'{namespace}.' if namespace else ''
+        return [
+            self.declare_parameter(f'{prefix}{name}', *rest, ignore_override=ignore_override)
+            for name, *rest in parameters
+        ]
 
     def undeclare_parameter(self, name: str) -> None:
         """Undeclare a parameter."""

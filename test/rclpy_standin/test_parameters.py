@@ -80,6 +80,8 @@ def test_overrides_replace_declared_defaults(make_ros) -> None:
     assert node.declare_parameter('a', 1).value == 5
     assert node.declare_parameter('b', 1, ignore_override=True).value == 1
     assert node.declare_parameter('c', 'text').value == 'text'
+    declared = node.declare_parameters('group', [('d', 2), ('e', 'text', None)])
+    assert [(one.name, one.value) for one in declared] == [('group.d', 2), ('group.e', 'text')]
     assert node.get_parameter('a').value == 5
     assert [node.get_parameter(name).value for name in ('b', 'c')] == [1, 'text']
     assert node.has_parameter('a') and not node.has_parameter('d')

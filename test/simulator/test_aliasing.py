@@ -1,3 +1,5 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
 """Perceptual aliasing: how often views of different places match each other."""
 
 import math
