@@ -321,9 +321,10 @@ class Node:
     ) -> list[Parameter]:
         """Declare parameters below a namespace, by name, default and descriptor."""
         prefix = f'{namespace}.' if namespace else ''
+        rows = ((name, value, *rest, None) for name, value, *rest in parameters)
         return [
-            self.declare_parameter(f'{prefix}{name}', *rest, ignore_override=ignore_override)
-            for name, *rest in parameters
+            self.declare_parameter(f'{prefix}{name}', value, descriptor, ignore_override)
+            for name, value, descriptor, *_ in rows
         ]
 
     def undeclare_parameter(self, name: str) -> None:
