@@ -42,10 +42,9 @@ from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 RELOCATED = isotropic(0.1, math.radians(2.0))
 """Covariance of a pose that scans have proven."""
 
-
-BYPASS_SPACINGS = 5.0
-"""Distance driven past known places, in view spacings, up to which a link bypasses them. Links are
-straight, and routes lead over them."""
+DEPARTURE_SPACINGS = 5.0
+"""Distance driven over known places, in view spacings, up to which a new experience is linked to
+the one before them, too. Links are straight, and routes lead over them."""
 
 
 class ExperienceMap(LinkedGraph, Saved):
@@ -150,8 +149,8 @@ class ExperienceMap(LinkedGraph, Saved):
         if not self.mapping and (action.action == 'create' or action.target_id >= len(self)):
             return MapUpdate()
         self._closures.check_view(action.template_id, scan_match)
-        links = None
-        if action.view_spacing_m > 0.0:
+        links, weighs = None, action.view_spacing_m > 0.0
+        if weighs:
             self.optimiser.view_spacing_m = action.view_spacing_m
             links = additions.RECOGNISED_LINKS.load()(self)
         events: tuple[ClosureEvent, ...] = ()
@@ -191,19 +190,19 @@ class ExperienceMap(LinkedGraph, Saved):
                 return MapUpdate(events=events)
         returned = was_rejecting and source == target
         if source != NO_EXPERIENCE and self.mapping and event is None and not returned:
-            is_leaf, weighs = action.action == 'create', action.view_spacing_m > 0.0
-            departure = self._departure_to(target) if is_leaf and weighs else None
+            is_leaf = action.action == 'create'
+            departure = self._departure_beside(source) if is_leaf else None
             is_added = self.connect(
                 source, target, target_offset, behaviour, is_leaf,
                 recognised=weighs and (not is_leaf or departure is not None),
             )
             if departure is not None:
-                self.bypass(departure, target, target_offset)
+                self.connect_departure(departure, target, target_offset)
             if is_added and not is_leaf:
                 events += (ClosureEvent('closed', source, target),)
         if action.action == 'create' or source == NO_EXPERIENCE or event is not None:
             self.departure = None
-        elif self.departure is None and action.view_spacing_m > 0.0:
+        elif self.departure is None and weighs:
             self.departure = Departure(source, self.offset, self._duration_s, self.travelled_m)
         self.current_id = target
         self.offset = target_offset
@@ -223,12 +222,13 @@ class ExperienceMap(LinkedGraph, Saved):
         self._relax()
         return MapUpdate(pruned, events)
 
-    def _departure_to(self, target: int) -> Departure | None:
-        """Return the departure if a link from it to a new experience is as good as straight."""
+    def _departure_beside(self, source: int) -> Departure | None:
+        """Return the departure if it is another experience than the source, and near enough."""
         departure = self.departure
         if (
-            departure is None or self.is_apart(departure.experience_id)
-            or departure.travelled_m > BYPASS_SPACINGS * self.view_spacing_m
+            departure is None or departure.experience_id == source
+            or self.is_apart(departure.experience_id)
+            or departure.travelled_m > DEPARTURE_SPACINGS * self.view_spacing_m
         ):
             return None
         return departure

@@ -154,11 +154,10 @@ class LinkedGraph(RobotOnGraph):
         Returns:
             Whether the link is new.
         """
-        x_m, y_m, facing_rad = composed(self.offset, inverse(target_offset))
-        is_new = self._add(Link(
-            source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad,
-            self._duration_s, behaviour, 1, recognised,
-        ), is_leaf)
+        is_new = self._add(
+            source, target, composed(self.offset, inverse(target_offset)), self._duration_s,
+            behaviour, is_leaf, recognised,
+        )
         if behaviour:
             count_other_transitions(self.link_table, source, target, behaviour)
             while True:
@@ -169,20 +168,29 @@ class LinkedGraph(RobotOnGraph):
                 self._unlearn([unlikely])
         return is_new
 
-    def bypass(self, departure: Departure, target: int, target_offset: Pose) -> None:
+    def connect_departure(self, departure: Departure, target: int, target_offset: Pose) -> None:
         """Add the link of the driven path to a new experience, past the known places between.
 
-        That of the transition starts where a known place was recognised, with the error of that.
+        Arguments as for ``connect``, whose link starts at the last of these places, and has the
+        error of its recognition.
         """
-        x_m, y_m, facing_rad = composed(departure.offset, inverse(target_offset))
-        self._add(Link(
-            departure.experience_id, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m),
-            facing_rad, departure.duration_s, '', 1, False,
-        ), is_leaf=False)
+        relative = composed(departure.offset, inverse(target_offset))
+        self._add(departure.experience_id, target, relative, departure.duration_s)
 
-    def _add(self, link: Link, is_leaf: bool) -> bool:
-        """Add a link, or average it with the one that exists; return whether it is new."""
-        row = self.link_table.row(link.source_id, link.target_id)
+    def _add(
+        self, source: int, target: int, relative: Pose, duration_s: float, behaviour: str = '',
+        is_leaf: bool = False, recognised: bool = False,
+    ) -> bool:
+        """Add a link, or average it with the one that exists; return whether it is new.
+
+        ``relative``: pose of the target in the frame of the source; the others as for ``connect``.
+        """
+        x_m, y_m, facing_rad = relative
+        link = Link(
+            source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad, duration_s,
+            behaviour, 1, recognised,
+        )
+        row = self.link_table.row(source, target)
         if row is None:
             self.link_table.append(link)
             if not is_leaf:

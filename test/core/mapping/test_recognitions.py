@@ -106,8 +106,8 @@ def test_inexact_recognitions_hardly_shrink_the_map(monkeypatch: pytest.MonkeyPa
     step_m, places = 0.25, 2 * PER_LAP
     half = turning(math.pi * step_m / PER_LAP)
 
-    def radius_m(bypass_spacings: float) -> float:
-        monkeypatch.setattr(experience_map, 'BYPASS_SPACINGS', bypass_spacings)
+    def radius_m(spacings: float) -> float:
+        monkeypatch.setattr(experience_map, 'DEPARTURE_SPACINGS', spacings)
         rng, graph = np.random.default_rng(1), new_map()
         for n in range(5 * 2 * places):  # five laps; on the first, every other step adds a place
             for motion in (half, ahead(step_m), half) if n else ():
@@ -122,9 +122,9 @@ def test_inexact_recognitions_hardly_shrink_the_map(monkeypatch: pytest.MonkeyPa
         circle_m = graph.poses[:places, :2]
         return float(np.linalg.norm(circle_m - circle_m.mean(axis=0), axis=1).mean())
 
-    spacings = experience_map.BYPASS_SPACINGS
+    used = experience_map.DEPARTURE_SPACINGS
     assert radius_m(0.0) < 0.85 * TRUE_RADIUS_M
-    assert radius_m(spacings) > 0.93 * TRUE_RADIUS_M
+    assert radius_m(used) > 0.93 * TRUE_RADIUS_M
 
 
 @pytest.mark.parametrize('interrupted', [False, True])
@@ -143,6 +143,18 @@ def test_new_place_is_linked_past_the_known_ones(interrupted: bool) -> None:
     assert past.distance_m == pytest.approx(3.0 * SPACING_M)
     assert past.duration_s == pytest.approx(3.0 * start.duration_s)
     assert (start.source_id, start.target_id, start.recognised) == (0, 3, True)
+
+
+def test_return_to_the_departure_makes_one_driven_link() -> None:
+    graph = new_map()
+    for target in (0, 1, 0, 1, 2):
+        if target == len(graph):
+            act(graph, 'create')
+        else:
+            act_known(graph, target)
+        graph.integrate(ahead(SPACING_M))
+    link = graph.links()[-1]
+    assert (link.source_id, link.target_id, link.recognised, link.count) == (1, 2, False, 1)
 
 
 def test_a_long_known_path_is_not_bypassed() -> None:
