@@ -154,41 +154,9 @@ class LinkedGraph(RobotOnGraph):
         Returns:
             Whether the link is new.
         """
-        is_new = self._add(
-            source, target, composed(self.offset, inverse(target_offset)), self._duration_s,
-            behaviour, is_leaf, recognised,
-        )
-        if behaviour:
-            count_other_transitions(self.link_table, source, target, behaviour)
-            while True:
-                p, count = self.parameters, len(self)
-                unlikely = least_confident(self.link_table, source, behaviour, p, count)
-                if unlikely is None:
-                    break
-                self._unlearn([unlikely])
-        return is_new
-
-    def connect_departure(self, departure: Departure, target: int, target_offset: Pose) -> None:
-        """Add the link of the driven path to a new experience, past the known places between.
-
-        Arguments as for ``connect``, whose link starts at the last of these places, and has the
-        error of its recognition.
-        """
-        relative = composed(departure.offset, inverse(target_offset))
-        self._add(departure.experience_id, target, relative, departure.duration_s)
-
-    def _add(
-        self, source: int, target: int, relative: Pose, duration_s: float, behaviour: str = '',
-        is_leaf: bool = False, recognised: bool = False,
-    ) -> bool:
-        """Add a link, or average it with the one that exists; return whether it is new.
-
-        ``relative``: pose of the target in the frame of the source; the others as for ``connect``.
-        """
-        x_m, y_m, facing_rad = relative
-        link = Link(
-            source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad, duration_s,
-            behaviour, 1, recognised,
+        relative = composed(self.offset, inverse(target_offset))
+        link = Link.by_pose(
+            source, target, relative, self._duration_s, behaviour, recognised=recognised
         )
         row = self.link_table.row(source, target)
         if row is None:
@@ -198,7 +166,27 @@ class LinkedGraph(RobotOnGraph):
         else:
             self.link_table.average(row, link)
             self.optimiser.measurement_changed()
+        if behaviour:
+            count_other_transitions(self.link_table, source, target, behaviour)
+            while True:
+                p, count = self.parameters, len(self)
+                unlikely = least_confident(self.link_table, source, behaviour, p, count)
+                if unlikely is None:
+                    break
+                self._unlearn([unlikely])
         return row is None
+
+    def connect_departure(self, departure: Departure, target: int, target_offset: Pose) -> None:
+        """Add the link of the driven path to a new experience, past the known places between.
+
+        Arguments as for ``connect``, whose link starts at the last of these places, and has the
+        error of its recognition.
+        """
+        relative = composed(departure.offset, inverse(target_offset))
+        self.link_table.append(Link.by_pose(
+            departure.experience_id, target, relative, departure.duration_s
+        ))
+        self.optimiser.structure_changed()
 
     def separate_since(self, odometer_m: float) -> bool:
         """Make a component of what was learned since an odometer reading, as it is elsewhere.

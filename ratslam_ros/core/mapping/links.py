@@ -40,6 +40,18 @@ class Link:
     count: int
     recognised: bool = False
 
+    @classmethod
+    def by_pose(
+        cls, source_id: int, target_id: int, relative_pose: Pose, duration_s: float,
+        behaviour: str = '', count: int = 1, recognised: bool = False,
+    ) -> Link:
+        """Return the link to a target with a pose in the frame of the source."""
+        x_m, y_m, facing_rad = relative_pose
+        return cls(
+            source_id, target_id, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad,
+            duration_s, behaviour, count, recognised,
+        )
+
     @property
     def relative_pose(self) -> Pose:
         """Pose of the target in the frame of the source."""
@@ -316,13 +328,10 @@ def concatenated(first: Link, second: Link) -> Link:
 
     The first link must end where the second starts.
     """
-    x, y, turn = composed(first.relative_pose, second.relative_pose)
-    return Link(
+    return Link.by_pose(
         first.source_id,
         second.target_id,
-        math.hypot(x, y),
-        math.atan2(y, x),
-        turn,
+        composed(first.relative_pose, second.relative_pose),
         first.duration_s + second.duration_s,
         first.behaviour if first.behaviour == second.behaviour else '',
         min(first.count, second.count),

@@ -114,11 +114,10 @@ class JointMap:
 
     def join_link(self, one: Correspondence) -> Link:
         """Return the link of a correspondence, as a recognition makes it."""
-        x_m, y_m, turn_rad = inverse(one.pose)
-        distance_m = math.hypot(x_m, y_m)
-        return Link(
-            one.seen, one.known, distance_m, math.atan2(y_m, x_m), turn_rad,
-            distance_m * self.s_per_m, '', 1, self.view_spacing_m > 0.0 and not one.by_scan,
+        pose = inverse(one.pose)
+        return Link.by_pose(
+            one.seen, one.known, pose, math.hypot(pose.x_m, pose.y_m) * self.s_per_m,
+            recognised=self.view_spacing_m > 0.0 and not one.by_scan,
         )
 
     def relaxed(
