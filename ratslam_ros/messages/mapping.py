@@ -129,9 +129,10 @@ class ActionPayload(Payload, frozen=True, kw_only=True):
     memory: _Memory
     """Memory of the sender, see above."""
     recognised_id: OptionalId = NO_EXPERIENCE
-    """With `exp_view_links` only: experience that the view was recognised as, -1 if none."""
+    """Experience that the view was recognised as, -1 if none: with `exp_view_links`, and with
+    `exp_weigh_links` for a new experience."""
     agreement: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
-    """With `exp_view_links` only: share of the required recognitions that agree."""
+    """With `recognised_id` only: share of the required recognitions that agree."""
     view_spacing_m: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
     """With `exp_view_links` or `exp_weigh_links` only: scale of the weights of links."""
     correction: _TurnCorrection | None = None

@@ -107,6 +107,19 @@ class Experiences(ExperienceTable):
         """Return the nearest experience at which the template was seen, if any."""
         return self._nearest(seen, self._in(seen.component, seen.template_id))
 
+    def first_at(self, template_id: int, component: int, place: Located) -> int:
+        """Return the first experience of a template at a place, -1 if there is none."""
+        for i in self._in(component, template_id):
+            if self.are_same(self[i].located, place):
+                return i
+        return NO_EXPERIENCE
+
+    def are_same(self, a: Located, b: Located) -> bool:
+        """Return whether two places are closer than ``exp_delta_pc_threshold``."""
+        threshold, scale = self._lengths.delta
+        theta = self._torus.distance(a.place, Place(a.place.x, a.place.y, b.place.theta))
+        return math.hypot(scale * math.dist(a.unwrapped, b.unwrapped), theta) < threshold
+
     def decide(
         self, seen: Observation, learn: bool, recognised_id: int | None = None
     ) -> Action:

@@ -20,7 +20,7 @@ from ratslam_ros.core.pose_cells.map_action import (
     MapAction,
     Viewed,
 )
-from ratslam_ros.core.pose_cells.torus import Located, Place
+from ratslam_ros.core.pose_cells.torus import Located
 from ratslam_ros.core.pose_cells.visual_evidence import Observation, VisualEvidence
 
 
@@ -29,19 +29,6 @@ class ExperienceChains(Experiences):
 
     Those of earlier visits, which they supersede, are pruned first.
     """
-
-    def first_at(self, template_id: int, component: int, place: Located) -> int:
-        """Return the first experience of a template at a place, -1 if there is none."""
-        for i in self._in(component, template_id):
-            if self.are_same(self[i].located, place):
-                return i
-        return NO_EXPERIENCE
-
-    def are_same(self, a: Located, b: Located) -> bool:
-        """Return whether two places are closer than ``exp_delta_pc_threshold``."""
-        threshold, scale = self._lengths.delta
-        theta = self._torus.distance(a.place, Place(a.place.x, a.place.y, b.place.theta))
-        return math.hypot(scale * math.dist(a.unwrapped, b.unwrapped), theta) < threshold
 
     def merge(self, component: int, into: int, moved: Callable[[Located], Located]) -> None:
         """Move the experiences of one component into another one, by ``moved``."""
@@ -93,12 +80,14 @@ class Recognitions(Extension):
         self._evidence, self._experiences, self._lengths = evidence, experiences, lengths
 
     def extended(self, action: MapAction, view: Viewed) -> MapAction:
-        """Return an action with the recognised experience, and how many views agree on it."""
+        """Return an action with the recognised experience, and how many views agree on it.
+
+        Without chains only a new experience needs this: ``link`` and ``set`` go to known ones.
+        """
         recognised_id, agreement = NO_EXPERIENCE, 0.0
         evidence, experiences = self._evidence, self._experiences
-        if isinstance(experiences, ExperienceChains) and (
-            view.has_effect and evidence.agreement > 0.0
-        ):
+        is_linked = isinstance(experiences, ExperienceChains) or action.action == 'create'
+        if is_linked and view.has_effect and evidence.agreement > 0.0:
             agreement = evidence.agreement
             # The experience that was created with the template may have been pruned. Others may
             # be at places that only look alike.

@@ -1,6 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""At the limit of experiences, those with a younger one at their place are pruned first."""
+"""New experiences at known places: they are linked to the older ones, or supersede them.
+
+At the limit of experiences, superseded ones are pruned first.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import math
 from helpers import extended
 
 from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import ViewMatch
 
@@ -74,6 +78,28 @@ def test_recognised_experience_is_at_the_place_of_the_view() -> None:
     assert {place for place, _ in recognised} >= set(LOOKS_LIKE.values())
     for place, created_at in recognised:
         assert abs(place - created_at) <= 2
+
+
+def test_new_experience_of_a_known_view_is_linked_without_chains() -> None:
+    """Too few views agree to correct the pose, so that a second row of places grows."""
+    cells = PoseCells(extended(
+        'pose_cells', exp_view_links=False, exp_weigh_links=True, pc_vt_agree_views=4.0,
+        pc_vt_agree_spacing=0.9, pc_dim_x=LAP, pc_dim_y=LAP, pc_cell_x_size=0.5,
+        exp_delta_pc_threshold=0.6,
+    ))
+    ahead = Motion(0.1, 0.5, 0.0)
+    first = []
+    for place in range(20):
+        cells.integrate(ahead)
+        first.append(cells.view(ViewMatch(place, True, 0.0, 0.0)))
+    assert all(action.recognised_id == NO_EXPERIENCE for action in first)
+    cells.integrate(Motion(0.1, -8.0, 0.0))  # according to odometry; in truth 9 m
+    again = [cells.view(ViewMatch(1, False, 0.0, 0.0))]
+    cells.integrate(ahead)
+    again.append(cells.view(ViewMatch(2, False, 0.0, 0.0)))
+    assert [action.action for action in again] == ['create', 'create']
+    assert [action.recognised_id for action in again] == [1, 2]
+    assert 0.0 < again[0].agreement < again[1].agreement < 1.0
 
 
 def test_marks_are_restored() -> None:
