@@ -152,7 +152,7 @@ class ExperienceMap(LinkedGraph, Saved):
         links, weighs = None, action.view_spacing_m > 0.0
         if weighs:
             self.optimiser.view_spacing_m = action.view_spacing_m
-            links = additions.RECOGNISED_LINKS.load()(self)
+            links = additions.RECOGNISED_LINKS.load()(self, self._closures)
         events: tuple[ClosureEvent, ...] = ()
         if action.action == 'none':
             if links is not None:

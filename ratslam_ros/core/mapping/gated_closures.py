@@ -74,6 +74,10 @@ class GatedClosures(Closures):
         robot.rejoin(target, target_offset)
         return None
 
+    def may_be_at(self, target: int, target_offset: Pose) -> bool:
+        """Return whether a recognised place is within the bound; see ``Closures``."""
+        return not self._robot.carried.is_lost and self._excess(target, target_offset) is None
+
     def check_view(self, template_id: int, scan_match: ScanMatch) -> None:
         """Compare a view with those of the map at the robot's pose; scans know better."""
         robot = self._robot

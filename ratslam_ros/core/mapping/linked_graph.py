@@ -285,6 +285,10 @@ class Closures(Saved):
         """
         return None
 
+    def may_be_at(self, target: int, target_offset: Pose) -> bool:
+        """Return whether the robot may be where a view was recognised; arguments as above."""
+        return True
+
     def check_view(self, template_id: int, scan_match: ScanMatch) -> None:
         """Compare a view with those of the map at the robot's pose."""
 

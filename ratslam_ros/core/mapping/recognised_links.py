@@ -12,6 +12,7 @@ import math
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_weights import reach_m
+from ratslam_ros.core.mapping.linked_graph import Closures
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 
@@ -19,8 +20,8 @@ from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 class RecognisedLinks:
     """What recognised views change on the map."""
 
-    def __init__(self, experience_map: ExperienceMap) -> None:
-        self._map = experience_map
+    def __init__(self, experience_map: ExperienceMap, closures: Closures) -> None:
+        self._map, self._closures = experience_map, closures
 
     def returned(self, action: MapAction) -> None:
         """Measure the noise of the odometry by a return to a known place.
@@ -36,7 +37,7 @@ class RecognisedLinks:
         """Link the current experience to the one that the view was recognised as.
 
         Nothing happens if they are linked already, or are in different components, or if too few
-        recognitions agree for the distance between the two.
+        recognitions agree for the distance between the two, or the loop-closure gate contradicts.
         """
         own = self._map
         current, target = own.current_id, action.recognised_id
@@ -49,13 +50,15 @@ class RecognisedLinks:
         distance_m = math.hypot(place.x_m - here.x_m, place.y_m - here.y_m)
         spacing_m = action.view_spacing_m
         driven_m = own.odometer_m - own.recognised_at_m
-        if distance_m > reach_m(driven_m, action.agreement, spacing_m):
+        offset = Pose(0.0, 0.0, action.relative_rad)
+        if distance_m > reach_m(driven_m, action.agreement, spacing_m) or (
+            not self._closures.may_be_at(target, offset)
+        ):
             return ()
         if distance_m < reach_m(0.0, 0.0, spacing_m):
             own.recognised_at_m = own.odometer_m
             if action.agreement == 1.0:  # few of these are false
                 own.optimiser.noise.recognise(place, action.relative_rad, spacing_m)
-        offset = Pose(0.0, 0.0, action.relative_rad)
         # If relaxation accepts a recognition beyond the bound, the next ones are within it.
         if action.agreement == 1.0 and not own.is_doubtful(target):
             own.fuse(composed(place, offset))

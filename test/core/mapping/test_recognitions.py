@@ -313,3 +313,17 @@ def test_returns_to_known_places_measure_the_odometry() -> None:
     drive_known_laps(equal, 5, weighted=False)
     assert equal.odometry_std == PRIOR_STD
     assert weighted.odometry_std < 0.5 * PRIOR_STD
+
+
+@pytest.mark.parametrize('gated', [False, True])
+def test_gate_rejects_recognitions_beyond_the_drift(gated: bool) -> None:
+    """A carried robot recognises places that its odometry contradicts."""
+    graph = new_map(exp_gate_closures=gated)
+    for _ in range(30):
+        act(graph, 'create')
+        graph.integrate(ahead(SPACING_M))
+    act(graph, 'create', recognised=0)
+    assert (graph.link_table.row(30, 0) is None) == gated
+    graph.integrate(ahead(SPACING_M))
+    act(graph, 'create', recognised=30)
+    assert graph.link_table.row(31, 30) is not None
