@@ -132,7 +132,7 @@ class ActionPayload(Payload, frozen=True, kw_only=True):
     """Experience that the view was recognised as, -1 if none: with `exp_view_links`, and with
     `exp_weigh_links` for a new experience."""
     agreement: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
-    """With `recognised_id` only: share of the required recognitions that agree."""
+    """In the same cases: share of the required recognitions that agree."""
     view_spacing_m: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
     """With `exp_view_links` or `exp_weigh_links` only: scale of the weights of links."""
     correction: _TurnCorrection | None = None

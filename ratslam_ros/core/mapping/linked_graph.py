@@ -286,7 +286,7 @@ class Closures(Saved):
         return None
 
     def may_be_at(self, target: int, target_offset: Pose) -> bool:
-        """Return whether the robot may be where a view was recognised; arguments as above."""
+        """Return whether the robot may be at a recognised place; arguments as for ``judged``."""
         return True
 
     def check_view(self, template_id: int, scan_match: ScanMatch) -> None:

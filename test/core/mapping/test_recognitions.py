@@ -101,6 +101,13 @@ def act_known(graph: ExperienceMap, target: int) -> None:
     ))
 
 
+def visit(graph: ExperienceMap, target: int) -> None:
+    if target == len(graph):
+        act(graph, 'create')
+    else:
+        act_known(graph, target)
+
+
 def test_inexact_recognitions_hardly_shrink_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
     """Least squares shrinks links between places that are recognised within their distance."""
     step_m, places = 0.25, 2 * PER_LAP
@@ -131,10 +138,7 @@ def test_inexact_recognitions_hardly_shrink_the_map(monkeypatch: pytest.MonkeyPa
 def test_new_place_is_linked_past_the_known_ones(interrupted: bool) -> None:
     graph = new_map()
     for target in (0, 1, 2, 1, 0, 3):
-        if target == len(graph):
-            act(graph, 'create')
-        else:
-            act_known(graph, target)
+        visit(graph, target)
         graph.integrate(ahead(SPACING_M))
         if interrupted:
             graph = restored(graph, graph.parameters)
@@ -148,10 +152,7 @@ def test_new_place_is_linked_past_the_known_ones(interrupted: bool) -> None:
 def test_return_to_the_departure_makes_one_driven_link() -> None:
     graph = new_map()
     for target in (0, 1, 0, 1, 2):
-        if target == len(graph):
-            act(graph, 'create')
-        else:
-            act_known(graph, target)
+        visit(graph, target)
         graph.integrate(ahead(SPACING_M))
     link = graph.links()[-1]
     assert (link.source_id, link.target_id, link.recognised, link.count) == (1, 2, False, 1)
@@ -160,10 +161,7 @@ def test_return_to_the_departure_makes_one_driven_link() -> None:
 def test_a_long_known_path_is_not_bypassed() -> None:
     graph = new_map()
     for target in (0, 1, 0, 1, 0, 1, 0, 2):
-        if target == len(graph):
-            act(graph, 'create')
-        else:
-            act_known(graph, target)
+        visit(graph, target)
         graph.integrate(ahead(SPACING_M))
     link = graph.links()[-1]
     assert (link.source_id, link.target_id, link.recognised) == (0, 2, False)
