@@ -10,14 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from rooms import Line, scan_in
 
-from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.mount import CENTRED, Mount
+from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.scan import Scan, checked_scan
 
 ROOM: list[Line] = [
     [(-3.0, -2.0), (4.0, -2.0), (4.0, 1.5), (1.0, 1.5), (1.0, 3.0), (-3.0, 3.0), (-3.0, -2.0)],
     [(2.0, -0.8), (2.8, -0.8), (2.8, 0.0), (2.0, 0.0), (2.0, -0.8)],
 ]
 """Room with an alcove and a cupboard."""
+
+ROBOT = Pose(-1.0, 0.5, 0.4)
+"""A pose of the robot in it."""
+
+MOUNTS = [
+    CENTRED, Mount(0.3, 0.0, math.pi), Mount(0.1, -0.2, 1.0), Mount(0.3, 0.1, -2.0, True),
+]
+"""Places of a laser on the robot."""
 
 CORNERS = np.array([point for line in ROOM for point in line[:-1]])
 """(10, 2) positions of its corners, in m."""
@@ -55,3 +64,12 @@ def full_turn(walls: list[Line], pose: Pose, half_beams: int = 360) -> Scan:
                     half_beams + 1)
     ranges = np.concatenate((behind.ranges_m[:-1], ahead.ranges_m[:-1]))
     return Scan(0, -math.pi, math.pi / half_beams, ranges)
+
+
+def mounted_scan(mount: Mount) -> Scan:
+    """Return the scan that a laser with a mount takes of the room, with the robot at ``ROBOT``."""
+    seen = full_turn(ROOM, composed(ROBOT, Pose(mount.x_m, mount.y_m, mount.yaw_rad)))
+    ranges_m, first_rad = seen.ranges_m, seen.angle_min_rad
+    if mount.is_upside_down:  # its beams run clockwise as seen from above
+        ranges_m, first_rad = ranges_m[::-1], -(first_rad + seen.angle_increment_rad * 719)
+    return checked_scan(0, first_rad, seen.angle_increment_rad, 0.0, 30.0, ranges_m, mount)

@@ -11,16 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from laser_rooms import ROOM, full_turn
+from laser_rooms import MOUNTS, ROBOT, ROOM, mounted_scan
 from numpy.typing import NDArray
 from rooms import scan_in
 
 from ratslam_ros.core.common.mount import CENTRED, FrameTree, Mount, UnusableMount
-from ratslam_ros.core.common.pose import Pose, composed, quaternion_of
-from ratslam_ros.core.common.scan import Scan, checked_scan, points_of
-from ratslam_ros.core.landmarks.line_extraction import extract_landmarks
-from ratslam_ros.core.landmarks.models import LaserModel
-from ratslam_ros.core.landmarks.wall_end_kernels import CORNER
+from ratslam_ros.core.common.pose import quaternion_of
+from ratslam_ros.core.common.scan import checked_scan, points_of
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 
@@ -96,47 +93,13 @@ def test_a_mount_described_by_its_own_transform_is_the_same(
     assert tree(('b', 'l', *transform)).mount_of('l', 'b') == first
 
 
-ROBOT = Pose(-1.0, 0.5, 0.4)
-
-
-def scanned(mount: Mount) -> Scan:
-    """Return the scan that a laser with a mount takes of the room."""
-    at = composed(ROBOT, Pose(mount.x_m, mount.y_m, mount.yaw_rad))
-    seen = full_turn(ROOM, at)
-    ranges_m, first_rad = seen.ranges_m, seen.angle_min_rad
-    if mount.is_upside_down:  # its beams run clockwise as seen from above
-        ranges_m, first_rad = ranges_m[::-1], -(first_rad + seen.angle_increment_rad * 719)
-    return checked_scan(0, first_rad, seen.angle_increment_rad, 0.0, 30.0, ranges_m, mount)
-
-
-MOUNTS = [
-    CENTRED, Mount(0.3, 0.0, math.pi), Mount(0.1, -0.2, 1.0), Mount(0.3, 0.1, -2.0, True),
-]
-
-
 @pytest.mark.parametrize('mount', MOUNTS)
 def test_points_lie_on_the_walls_wherever_the_laser_is(mount: Mount) -> None:
-    points = points_of(scanned(mount))
+    points = points_of(mounted_scan(mount))
     assert len(points) > 700
     c, s = math.cos(ROBOT.heading_rad), math.sin(ROBOT.heading_rad)
     on_map = points @ np.array([[c, s], [-s, c]]) + (ROBOT.x_m, ROBOT.y_m)
     assert _distance_to_walls_m(on_map).max() < 1e-6
-
-
-@pytest.mark.parametrize('mount', MOUNTS[1:])
-def test_landmarks_are_those_of_a_centred_laser(mount: Mount) -> None:
-    parameters = LaserModel(range_sd_m=0.01, wall_sd_m=0.001)
-    centred, found = (
-        extract_landmarks(scanned(m), parameters) for m in (CENTRED, mount)
-    )
-    expected = centred.features.values.reshape(-1, 4)[centred.kinds == CORNER]
-    corners = found.features.values.reshape(-1, 4)[found.kinds == CORNER]
-    nearest = np.hypot(*(corners[:, None, :2] - expected[None, :, :2]).transpose(2, 0, 1))
-    match = nearest.argmin(axis=1)
-    is_same = nearest.min(axis=1) < 0.02
-    assert is_same.sum() >= 4  # The others are hidden behind the cupboard for one of the two.
-    turn = corners[is_same, 2] - expected[match[is_same], 2]
-    assert np.abs(np.sin(turn / 2)).max() < 0.02
 
 
 def test_a_laser_that_looks_ahead_at_the_centre_is_unchanged() -> None:
