@@ -85,12 +85,18 @@ class Live:
     def start(self, *nodes: str, arguments: tuple[str, ...] = ()) -> None:
         for node in nodes:
             own = self.arguments.get(node, [])
-            command = ratslam('run', node, *arguments, *own, '--ros-args', *self.parameters)
-            with self.log(node).open('wb') as log:
-                self.processes[node] = subprocess.Popen(
-                    command, env=self.environment, cwd=self.folder, stdout=log,
-                    stderr=subprocess.STDOUT,
-                )
+            self.begin(node, 'run', node, *arguments, *own, '--ros-args', *self.parameters)
+        self.wait_ready(*nodes)
+
+    def begin(self, name: str, *words: str) -> None:
+        """Start a command whose output is in a log; do not wait for it."""
+        with self.log(name).open('wb') as log:
+            self.processes[name] = subprocess.Popen(
+                ratslam(*words), env=self.environment, cwd=self.folder, stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+
+    def wait_ready(self, *nodes: str) -> None:
         end_s = time.monotonic() + READY_S
         for node in nodes:
             while 'ready' not in self.log(node).read_text():
@@ -277,23 +283,16 @@ def test_launch_with_automatic_odometry_gives_replay_map(
         expected = offline(bag, tmp_path / 'offline', SMALL, *without)
     path = tmp_path / 'a.map'
     settings = *set_options(SMALL), '--map', str(path)
-    command = ratslam('launch', '--odometry', 'auto', '--config', 'extended', *settings)
-
-    def start() -> None:
-        with live.log('launch').open('wb') as log:
-            live.processes['launch'] = subprocess.Popen(
-                command, env=live.environment, stdout=log, stderr=subprocess.STDOUT
-            )
-
-    start()
+    command = 'launch', '--odometry', 'auto', '--config', 'extended', *settings
+    live.begin('launch', *command)
     live.run('play', str(bag), *without, '--rate', '0', '--lockstep', '--wait', '60', '--quiet')
     assert live.settled_map(expected) == expected, live.logs()
     source = 'topic' if is_recorded else 'camera'
     assert f'odometry: {source}, as /odom has' in live.log('launch').read_text()
     assert live.stop() == {'launch': 0}
     assert map_info(path)['decided_odometry'] == source
-    start()
-    wait_for(lambda: 'ready' in live.log('launch').read_text(), READY_S)
+    live.begin('launch', *command)
+    live.wait_ready('launch')
     assert f'odometry: {source}, as decided before' in live.log('launch').read_text()
     assert ('[visual_odometry]' in live.log('launch').read_text()) != is_recorded
     assert live.stop() == {'launch': 0}
