@@ -7,6 +7,8 @@ See docs/algorithm.md, "Loop-closure gate".
 
 from __future__ import annotations
 
+import numpy as np
+
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.carried import AGREEING_COUNT
 from ratslam_ros.core.mapping.linked_graph import Closures
@@ -130,10 +132,12 @@ class GatedClosures(Closures):
         if excess is None:
             return None
         noise = robot.optimiser.noise.variance(robot.view_spacing_m)
-        lengths_m = robot.link_table.shapes[:, 0]
-        path = path_covariance(
-            robot.poses, robot.link_ends, lengths_m, robot.current_id, target, noise
-        )
+        # A blocked way cannot be driven, but the robot knows how long it is.
+        poses, blocked = robot.poses, robot.blocked_ends
+        steps_m = poses[blocked[:, 1], :2] - poses[blocked[:, 0], :2]
+        ends = np.concatenate([robot.link_ends, blocked])
+        lengths_m = np.concatenate([robot.link_table.shapes[:, 0], np.hypot(*steps_m.T)])
+        path = path_covariance(poses, ends, lengths_m, robot.current_id, target, noise)
         if path is None:
             return None
         compound(path, *robot.offset, robot.travelled_m, *noise)

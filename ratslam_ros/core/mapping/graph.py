@@ -149,6 +149,12 @@ class ExperienceGraph:
         return np.array(sorted(self._unlearned), np.int64).reshape(-1, 2)
 
     @property
+    def blocked_ends(self) -> NDArray[np.int64]:
+        """(n, 2) those of the unlearned links that were not learned again."""
+        ends = self.unlearned_ends
+        return ends[[self.link_table.row(i, j) is None for i, j in ends.tolist()]]
+
+    @property
     def link_ends(self) -> NDArray[np.int64]:
         """(links, 2) source and target of every link; a view; do not modify or keep."""
         return self.link_table.ends

@@ -88,6 +88,17 @@ def test_closure_between_unlinked_components_never_exceeds_drift() -> None:
     assert not exceeds(Pose(50.0, 0.0, 2.0), 60, links=40)
 
 
+def test_blocked_way_is_part_of_the_path() -> None:
+    """Otherwise, time-outs at a place without a detour would make any place the robot's."""
+    graph = graphs.corridor(behaviour='ahead', exp_gate_closures=True)
+    while not graph.unlearn_blocked('ahead', 0.0, Pose(8.5, 0.0, 0.0)):
+        pass
+    assert graph.link_table.row(8, 9) is None
+    graphs.go(graph, 2, ahead(0.5))
+    assert graph.gate.rejected_count == 1
+    assert graph.link_table.row(12, 2) is None
+
+
 # Evidence for a relocation
 
 
