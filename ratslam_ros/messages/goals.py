@@ -181,7 +181,7 @@ class Task(Struct, frozen=True):
     reason: Text
     """Why the goal ended without success."""
     expected_s: Annotated[float | None, Meta(examples=[24.0])] = None
-    """Duration of its first route, or of a longer one since the pose was found."""
+    """Duration of the longest of its routes."""
     took_s: Annotated[float | None, Meta(examples=[None])] = None
     """Time taken; null if it has not begun or ended."""
     request: Text = ''

@@ -26,9 +26,9 @@ MAX_UNCERTAIN_TRY_COUNT = 1
 """The same limit while the position is uncertain, so that the map ignores the tries."""
 
 GOAL_TIMEOUT_FACTOR = 10.0
-"""Time limit of a goal without one of its own, relative to the duration of its first route: people
-in the way and detours multiply the time, a robot that is stuck never arrives. Time with an unknown
-pose does not count. If the first route after it is longer, it decides instead."""
+"""Time limit of a goal without one of its own, relative to the duration of its longest route:
+people in the way multiply the time, a robot that is stuck never arrives. Time with an unknown pose
+does not count. A robot that was carried away begins on the route from where it seems to be."""
 
 MIN_GOAL_TIMEOUT_S = 120.0
 """Lower bound of this limit in s, so that near goals survive a person who stands in the way."""
@@ -48,11 +48,11 @@ class GoalTask:
         number: counts all requested goals from 0.
         goal: the goal.
         asked: the target as text.
-        timeout_s: time limit in s, 0 for none, None for the limit by its first route.
+        timeout_s: time limit in s, 0 for none, None for the limit by its routes.
         status: ``queued``, ``active``, or the final status.
         reason: why the goal ended without success.
         started_ns: stamp of the first update for this goal.
-        expected_s: duration in s of its first route, or of a longer one since the pose was found.
+        expected_s: duration in s of the longest of its routes.
         counted_ns: time since the first route for which the pose was known.
         ended_ns: stamp of the last update for this goal.
         request: the client's name of the request that the goal belongs to, '' for none.
@@ -114,8 +114,6 @@ class Navigator(Saved):
         self._following: RouteFollowing | None = None
         self._count = 0
         self._lost_ns: int | None = None
-        self._has_route = False
-        """Whether there was a route to the active goal since the pose is known."""
         self._failed_tries = 0
 
     def go_to(
@@ -178,17 +176,14 @@ class Navigator(Saved):
             task.status, task.started_ns = 'active', stamp_ns
             self._following = RouteFollowing(self.planner, task.goal)
         guidance = self._following.update(stamp_ns, pose)
-        if self.planner.experience_map.localisation == 'unknown':
-            self._has_route = False  # it did not begin where the robot is
-        elif task.expected_s is not None:
+        is_known = self.planner.experience_map.localisation != 'unknown'
+        if is_known and task.expected_s is not None:
             task.counted_ns += stamp_ns - before_ns
         if guidance.status == 'succeeded':
             return self._end(task, 'succeeded', '', guidance)
         if guidance.status != 'lost':
             self._lost_ns = None
-            if not self._has_route:
-                self._has_route = True
-                task.expected_s = max(task.expected_s or 0.0, guidance.remaining_s)
+            task.expected_s = max(task.expected_s or 0.0, guidance.remaining_s)
         elif self._lost_ns is None:
             self._lost_ns = stamp_ns
         failure = self._timed_out(task, stamp_ns)
@@ -213,7 +208,7 @@ class Navigator(Saved):
         """Finish a goal and return the guidance with its final status."""
         if task is self.queue[0]:
             self._following = self._lost_ns = None
-            self._failed_tries, self._has_route = 0, False
+            self._failed_tries = 0
         self.queue.remove(task)
         task.status, task.reason, task.ended_ns = status, reason, self.stamp_ns
         self.outcomes.append(task)

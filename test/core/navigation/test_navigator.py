@@ -191,12 +191,14 @@ def test_time_with_unknown_pose_does_not_count(
     assert task.ended_ns == pytest.approx(start_ns + end_s * S, abs=S)
 
 
-def test_longest_route_after_the_pose_is_found_decides_on_the_limit() -> None:
+@pytest.mark.parametrize('is_noticed', [True, False])
+def test_longest_route_decides_on_the_limit_of_a_carried_robot(is_noticed: bool) -> None:
     made = robot()
     made.navigator.go_to(5)
     for x, expected_s in ((3, 4.0), (0, 10.0), (4, 10.0)):
-        made.map.lose('the robot may have been carried')
-        made.run(1.0, speed_mps=0.0)
+        if is_noticed:
+            made.map.lose('the robot may have been carried')
+            made.run(1.0, speed_mps=0.0)
         made.arrive(x, 0.0, linked=False)
         made.map.confirm()
         made.run(1.0, speed_mps=0.0)
