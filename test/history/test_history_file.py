@@ -12,7 +12,7 @@ import threading
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -36,6 +36,8 @@ from ratslam_ros.maps.locks import is_written
 from ratslam_ros.results.trajectory import Trajectory
 
 META = HistoryMeta('a drive', configuration='exp_correction: 1\n')
+VIEW = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
+T = TypeVar('T')
 
 
 def written(path: Path, records: list[Record]) -> list[Record]:
@@ -49,6 +51,12 @@ def written(path: Path, records: list[Record]) -> list[Record]:
 
 def times_of(records: list[Record]) -> list[int]:
     return np.maximum.accumulate([record.stamp_ns for record in records]).tolist()
+
+
+def timed(records: list[Record], kind: type[T]) -> list[tuple[int, T]]:
+    """Return the records of a kind with their times."""
+    pairs = zip(times_of(records), records, strict=True)
+    return [(at_ns, one) for at_ns, one in pairs if isinstance(one, kind)]
 
 
 def rows_of(path: Path) -> dict[str, list[tuple[object, ...]]]:
@@ -99,10 +107,7 @@ def test_seek_equals_sum_of_records_up_to_stamp(drive: tuple[Path, list[Record]]
 def test_look_ups_equal_search_in_all_views(drive: tuple[Path, list[Record]]) -> None:
     path, records = drive
     run = HistoryRun(path)
-    views = [
-        (at_ns, one) for at_ns, one in zip(times_of(records), records, strict=True)
-        if isinstance(one, ViewRecord)
-    ]
+    views = timed(records, ViewRecord)
     for number in (0, 1, 100, len(views) - 1):
         at_ns = views[number][0]
         last = max(k for k, (ns, _) in enumerate(views) if ns <= at_ns)
@@ -130,14 +135,10 @@ def test_look_ups_equal_search_in_all_views(drive: tuple[Path, list[Record]]) ->
 
 def test_image_is_the_last_one_up_to_stamp(drive: tuple[Path, list[Record]]) -> None:
     path, records = drive
-    run, times = HistoryRun(path), times_of(records)
-    images = [
-        (at_ns, one) for at_ns, one in zip(times, records, strict=True)
-        if isinstance(one, ImageRecord)
-    ]
+    run, images = HistoryRun(path), timed(records, ImageRecord)
     at_ns, image = images[len(images) // 2]
     assert run.image_at(at_ns) == image.jpeg
-    assert run.image_at(times[0] - 1) is None
+    assert run.image_at(run.begin_ns - 1) is None
     run.close()
 
 
@@ -228,9 +229,8 @@ def test_number_that_does_not_fit_ends_recording(tmp_path: Path) -> None:
 
 def test_queue_is_written_after_few_seconds_of_stamps(tmp_path: Path) -> None:
     writer = HistoryWriter(tmp_path / HISTORY_NAME, META)
-    view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
     for second in range(1, 20):
-        writer.add(structs.replace(view, stamp_ns=second * NS_PER_S))
+        writer.add(structs.replace(VIEW, stamp_ns=second * NS_PER_S))
     assert writer._database is not None
     (end_ns,) = writer._database.execute('SELECT max(end_ns) FROM segments').fetchone()
     assert end_ns >= 12 * NS_PER_S
@@ -241,9 +241,8 @@ def test_closures_are_the_newest_in_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr('ratslam_ros.history.run_state.MAX_CLOSURES', 4)
-    view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
     written(tmp_path / HISTORY_NAME, [
-        structs.replace(view, stamp_ns=second * NS_PER_S, reason='too far')
+        structs.replace(VIEW, stamp_ns=second * NS_PER_S, reason='too far')
         for second in range(1, 20)
     ])
     run = HistoryRun(tmp_path / HISTORY_NAME)
@@ -425,8 +424,7 @@ def test_file_stays_within_budget(tmp_path: Path, jpeg_bytes: int) -> None:
         at_ns = NS_PER_S + step * NS_PER_S // 10
         count += step % 20 == 0
         writer.add(PoseRecord(at_ns, Pose(0.1 * step, 1.0, 0.5)))
-        view = ViewRecord(at_ns, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
-        assert writer.add(view)
+        assert writer.add(structs.replace(VIEW, stamp_ns=at_ns))
         if writer.wants(ImageRecord, at_ns, step % 7 == 0):
             images += writer.add(ImageRecord(at_ns, random.bytes(jpeg_bytes)), step % 7 == 0)
         if writer.wants(MapChange, at_ns):
