@@ -219,22 +219,14 @@ def test_action_round_trips_bit_identically(
     assert found.memory == memory
 
 
-def test_action_payload_has_exactly_the_documented_keys() -> None:
-    assert list(json.loads(encode(ActionPayload.of(START_NS, 8, ACTION, 7)))) == ACTION_KEYS
-
-
-def test_correction_of_an_action_round_trips_bit_identically() -> None:
-    action = replace(ACTION, correction=TurnCorrection(1.0 / 3.0, -0.1 / 3.0))
+@pytest.mark.parametrize('optional', [
+    {}, {'correction': TurnCorrection(1.0 / 3.0, -0.1 / 3.0)},
+    {'recognised_id': 2, 'agreement': 2.0 / 7.0, 'view_spacing_m': 1.0 / 3.0},
+], ids=['required', 'correction', 'recognition'])
+def test_action_has_the_documented_keys_and_exact_values(optional: dict[str, Any]) -> None:
+    action = replace(ACTION, **optional)
     payload = encode(ActionPayload.of(START_NS, 8, action, 7))
-    assert list(json.loads(payload)) == [*ACTION_KEYS, 'correction']
-    assert decode(ActionPayload, payload).change == action
-
-
-def test_recognition_of_an_action_round_trips_bit_identically() -> None:
-    action = replace(ACTION, recognised_id=2, agreement=2.0 / 7.0, view_spacing_m=1.0 / 3.0)
-    payload = encode(ActionPayload.of(START_NS, 8, action, 7))
-    recognition = ['recognised_id', 'agreement', 'view_spacing_m']
-    assert list(json.loads(payload)) == [*ACTION_KEYS, *recognition]
+    assert list(json.loads(payload)) == [*ACTION_KEYS, *optional]
     assert decode(ActionPayload, payload).change == action
 
 
