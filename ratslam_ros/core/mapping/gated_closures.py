@@ -132,12 +132,15 @@ class GatedClosures(Closures):
         if excess is None:
             return None
         noise = robot.optimiser.noise.variance(robot.view_spacing_m)
-        # A blocked way cannot be driven, but the robot knows how long it is.
-        poses, blocked = robot.poses, robot.blocked_ends
-        steps_m = poses[blocked[:, 1], :2] - poses[blocked[:, 0], :2]
-        ends = np.concatenate([robot.link_ends, blocked])
-        lengths_m = np.concatenate([robot.link_table.shapes[:, 0], np.hypot(*steps_m.T)])
-        path = path_covariance(poses, ends, lengths_m, robot.current_id, target, noise)
+        poses, here = robot.poses, robot.current_id
+        ends, lengths_m = robot.link_ends, robot.link_table.shapes[:, 0]
+        path = path_covariance(poses, ends, lengths_m, here, target, noise)
+        if path is None:  # The ways between both are blocked; their lengths are known.
+            blocked = robot.blocked_ends
+            steps_m = poses[blocked[:, 1], :2] - poses[blocked[:, 0], :2]
+            ends = np.concatenate([ends, blocked])
+            lengths_m = np.concatenate([lengths_m, np.hypot(*steps_m.T)])
+            path = path_covariance(poses, ends, lengths_m, here, target, noise)
         if path is None:
             return None
         compound(path, *robot.offset, robot.travelled_m, *noise)
