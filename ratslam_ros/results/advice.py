@@ -4,7 +4,7 @@
 
 `Observations` collects what is needed during the run, in memory proportional to the number of
 templates. `advise` compares it with thresholds. They were set between the values of good maps and
-of failed ones; docs/results.md lists both.
+of failed ones; docs/results.md lists them.
 """
 
 from __future__ import annotations
