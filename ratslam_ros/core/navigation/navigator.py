@@ -28,7 +28,7 @@ MAX_UNCERTAIN_TRY_COUNT = 1
 GOAL_TIMEOUT_FACTOR = 10.0
 """Time limit of a goal without one of its own, relative to the duration of its longest route:
 people in the way multiply the time, a robot that is stuck never arrives. Time with an unknown pose
-does not count. A robot that was carried away begins on the route from where it seems to be."""
+does not count. The first route of a robot that was carried may begin in a wrong place."""
 
 MIN_GOAL_TIMEOUT_S = 120.0
 """Lower bound of this limit in s, so that near goals survive a person who stands in the way."""
@@ -176,8 +176,8 @@ class Navigator(Saved):
             task.status, task.started_ns = 'active', stamp_ns
             self._following = RouteFollowing(self.planner, task.goal)
         guidance = self._following.update(stamp_ns, pose)
-        is_known = self.planner.experience_map.localisation != 'unknown'
-        if is_known and task.expected_s is not None:
+        is_lost = self.planner.experience_map.localisation == 'unknown'
+        if task.expected_s is not None and not is_lost:
             task.counted_ns += stamp_ns - before_ns
         if guidance.status == 'succeeded':
             return self._end(task, 'succeeded', '', guidance)
