@@ -45,7 +45,8 @@ from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S
 from ratslam_ros.core.driving.goal_queue import route_towards
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.goal_memory.goal_routes import GoalRoutes
-from ratslam_ros.core.mapping.relaxation import Relaxation
+from ratslam_ros.core.mapping.optimiser import EQUAL_WEIGHTS
+from ratslam_ros.core.mapping.relaxation import relax
 from ratslam_ros.core.mapping.sonar_grid import SonarGrid
 from ratslam_ros.core.navigation.route_following import RECOVERY_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, TemporalMap
@@ -897,9 +898,9 @@ def solved(
     poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the poses at the fixed point of some links."""
-    poses, relaxation = poses.copy(), Relaxation(ends, len(poses))
+    poses = poses.copy()
     for _ in range(SOLVER_COUNT):
-        relaxation.relax(poses, ends, shapes)
+        relax(poses, ends, shapes, np.tile(EQUAL_WEIGHTS, (len(ends), 1)))
     return poses
 
 

@@ -105,30 +105,34 @@ def residuals_of(graph: ExperienceMap) -> Reals:
     return residuals(graph.poses, graph.link_ends, graph.link_table.shapes)
 
 
-def incidence(ends: Indices, count: int) -> Reals:
-    """Return the (links, count) incidence matrix: -1 at the source, 1 at the target."""
-    out = np.zeros((len(ends), count))
-    for row, (i, j) in enumerate(ends):
-        out[row, j] += 1.0
-        out[row, i] -= 1.0
+def jacobian(poses: Reals, ends: Indices, shapes: Reals) -> Reals:
+    """Return the (links, 3, n, 3) derivatives of the residuals of the links."""
+    (i, j), links = ends.T, np.arange(len(ends))
+    out = np.zeros((len(ends), 3, len(poses), 3))
+    direction = poses[i, 2] + shapes[:, 1]
+    for axis in range(3):
+        np.add.at(out, (links, axis, j, axis), 1.0)
+        np.add.at(out, (links, axis, i, axis), -1.0)
+    np.add.at(out, (links, 0, i, 2), shapes[:, 0] * np.sin(direction))
+    np.add.at(out, (links, 1, i, 2), -shapes[:, 0] * np.cos(direction))
     return out
 
 
-def dense_fixed_point(poses: Reals, ends: Indices, shapes: Reals) -> Reals:
-    """Return the (n, 3) fixed point of relaxation by dense least squares.
+def dense_step(poses: Reals, ends: Indices, shapes: Reals, weights: Reals) -> Reals:
+    """Return (n, 3) displacements: the step of Gauss and Newton, by dense least squares.
 
-    First the headings, with residuals wrapped at the given poses, then the positions. The lowest
-    id of each connected component is held fixed.
+    The lowest id of each connected component is held fixed.
     """
-    poses = poses.copy()
     count = len(poses)
     component = np.arange(count)
     for _ in range(count):
         for i, j in ends:
             component[i] = component[j] = min(component[i], component[j])
     free = component != np.arange(count)
-    a = incidence(ends, count)[:, free]
-    for columns in ([2], [0, 1]):
-        e = residuals(poses, ends, shapes)[:, columns]
-        poses[np.ix_(free, columns)] -= np.linalg.lstsq(a, e, rcond=None)[0]
-    return poses
+    roots = np.sqrt(weights[:, [0, 0, 1]])
+    a = jacobian(poses, ends, shapes)[:, :, free] * roots[:, :, None, None]
+    e = residuals(poses, ends, shapes) * roots
+    step = np.zeros_like(poses)
+    solution = np.linalg.lstsq(a.reshape(e.size, 3 * free.sum()), -e.ravel(), rcond=None)[0]
+    step[free] = solution.reshape(-1, 3)
+    return step

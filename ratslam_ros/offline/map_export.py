@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import TIMED_OUT
-from ratslam_ros.core.mapping.link_weights import VIEW_STD, VIEW_STD_RAD, link_weights
+from ratslam_ros.core.mapping.link_weights import link_weights
 from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.navigation.server_graph import MAX_IDS, server_graph
@@ -305,8 +305,7 @@ def information(experience_map: ExperienceMap) -> NDArray[np.float64]:
     """Return the inverse variances of all links: position in 1/m^2 and heading in 1/rad^2.
 
     The variances are those of core/mapping/link_weights.py. They are in view spacings, which are
-    taken from the map, or else from the median length of its links. The standard deviation of the
-    heading has the ratio to that of the position that it has for a recognised view.
+    taken from the map, or else from the median length of its links.
 
     Returns:
         (links, 2).
@@ -317,10 +316,9 @@ def information(experience_map: ExperienceMap) -> NDArray[np.float64]:
         lengths_m = links.shapes[:, 0]
         driven_m = lengths_m[lengths_m > 0.0]
         spacing_m = float(np.median(driven_m)) if len(driven_m) else 1.0
-    weights = link_weights(
-        links.shapes, links.recognised, links.shares, spacing_m, experience_map.odometry_std
+    result = link_weights(
+        links.shapes, links.recognised, links.shares, spacing_m,
+        experience_map.optimiser.noise.std,
     )
-    per_rad = (VIEW_STD / VIEW_STD_RAD) ** 2
-    result = np.column_stack([weights / (spacing_m * spacing_m), weights * per_rad])
     assert math.isfinite(float(result.sum()))
     return result

@@ -277,9 +277,11 @@ def test_information_of_longer_odometry_is_smaller() -> None:
     for number, length_m in ((1, 1.0), (2, 1.0), (3, 4.0)):
         go(graph, number, Motion(1.0, length_m, 0.0))
     values = information(graph)
-    # The standard deviation after one view spacing, here 1 m, is 0.2 m; lengths of zero: 0.02 m.
-    assert values[0, 0] == pytest.approx(1.0 / (0.2**2 + 0.02**2))
-    assert values[2, 0] == pytest.approx(1.0 / (4.0 * 0.2**2 + 0.02**2))
+    # Standard deviations after one view spacing, here 1 m: 0.2 m; of zero lengths: 0.02 m. Half
+    # of these numbers are those of the heading in rad.
+    for row, length_m in ((0, 1.0), (2, 4.0)):
+        variance = length_m * 0.2**2 + 0.02**2
+        assert values[row] == pytest.approx([1.0 / variance, 4.0 / variance])
 
 
 @pytest.mark.parametrize('form', TEXT_FORMATS)

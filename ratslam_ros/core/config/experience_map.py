@@ -19,7 +19,7 @@ class ExperienceMapParameters(Section):
 
     exp_relaxation: str = parameter(
         'solve',
-        'Optimisation of the pose graph: solve computes the least-squares solution; sweep '
+        'Optimisation of the pose graph: solve computes the most likely poses; sweep '
         'applies exp_loops iterations of local corrections after each action, link after link, '
         'as OpenRatSLAM does; batch corrects all experiences at once, as in equation (7) of '
         'Milford et al. (2006).',

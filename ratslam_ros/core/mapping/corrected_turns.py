@@ -32,7 +32,7 @@ def correct_turns(
     if not is_small_error(now.gain / before.gain):
         own.link_table.shares[:] = 1.0  # of recognitions, which had to agree with a wrong map
         _compose(own)
-    own.optimiser.measurement_changed()
+    own.optimiser.links_changed()
 
 
 def _corrected(pose: Pose, before: TurnCorrection, now: TurnCorrection) -> Pose:

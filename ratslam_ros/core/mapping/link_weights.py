@@ -30,6 +30,10 @@ Flags = NDArray[np.bool_]
 LEAST_ODOMETRY_STD = 0.02
 """Standard deviation of a link of length zero, in view spacings."""
 
+HEADING_STD = 0.5
+"""Standard deviation of the heading of a link of odometry, in rad, for one view spacing of the
+position."""
+
 VIEW_STD, VIEW_STD_RAD = 0.25, 0.15
 """Standard deviation of a recognition: position in view spacings, and heading."""
 
@@ -74,7 +78,7 @@ def geman_mcclure(squared: float) -> float:
 def link_weights(
     shapes: Reals, recognised: Flags, shares: Reals, view_spacing_m: float, odometry_std: float
 ) -> Reals:
-    """Return the weights of all links, (links,).
+    """Return the weights of all links, (links, 2): position in 1/m^2, heading in 1/rad^2.
 
     Args:
         shapes: (links, 3) distance in m, heading and facing in rad.
@@ -84,15 +88,19 @@ def link_weights(
         odometry_std: standard deviation of the position after one view spacing of odometry, in
             view spacings.
     """
-    weights = np.empty(shapes.shape[0])
+    weights = np.empty((shapes.shape[0], 2))
     for link in range(shapes.shape[0]):
         if recognised[link]:
-            # Never 0, so that no experience loses its last link.
-            weights[link] = max(shares[link], 1e-6) / (VIEW_STD * VIEW_STD)
+            share = max(shares[link], 1e-6)  # never 0, so that no experience loses its last link
+            weights[link, 0] = share / (VIEW_STD * VIEW_STD)
+            weights[link, 1] = share / (VIEW_STD_RAD * VIEW_STD_RAD)
         else:
             spacings = shapes[link, 0] / view_spacing_m
             variance = odometry_std * odometry_std * spacings
-            weights[link] = 1.0 / (variance + LEAST_ODOMETRY_STD * LEAST_ODOMETRY_STD)
+            variance += LEAST_ODOMETRY_STD * LEAST_ODOMETRY_STD
+            weights[link, 0] = 1.0 / variance
+            weights[link, 1] = 1.0 / (HEADING_STD * HEADING_STD * variance)
+        weights[link, 0] /= view_spacing_m * view_spacing_m
     return weights
 
 

@@ -64,11 +64,6 @@ class LinkedGraph(RobotOnGraph):
         self.on_pruned: list[Callable[[int, int, Pose], None]] = []
         """Called with the fields of ``PrunedExperience`` before its links are deleted."""
 
-    @property
-    def odometry_std(self) -> float:
-        """Standard deviation of the odometry after one view spacing, in view spacings."""
-        return self.optimiser.noise.std
-
     def status(self) -> MapStatus:
         """Return the current experience, and those that links connect with it."""
         current = self.current_id
@@ -162,10 +157,10 @@ class LinkedGraph(RobotOnGraph):
         if row is None:
             self.link_table.append(link)
             if not is_leaf:
-                self.optimiser.structure_changed()
+                self.optimiser.links_changed()
         else:
             self.link_table.average(row, link)
-            self.optimiser.measurement_changed()
+            self.optimiser.links_changed()
         if behaviour:
             count_other_transitions(self.link_table, source, target, behaviour)
             while True:
@@ -186,7 +181,7 @@ class LinkedGraph(RobotOnGraph):
         self.link_table.append(Link.by_pose(
             departure.experience_id, target, relative, departure.duration_s
         ))
-        self.optimiser.structure_changed()
+        self.optimiser.links_changed()
 
     def separate_since(self, odometer_m: float) -> bool:
         """Make a component of what was learned since an odometer reading, as it is elsewhere.
@@ -222,7 +217,7 @@ class LinkedGraph(RobotOnGraph):
 
     def _delete(self, rows: list[int]) -> None:
         self.link_table.delete(rows)
-        self.optimiser.structure_changed()
+        self.optimiser.links_changed()
 
     def _prune(self, pruned_id: int) -> PrunedExperience:
         """Remove an experience from the graph, and link its neighbours past it.
@@ -256,7 +251,7 @@ class LinkedGraph(RobotOnGraph):
             self.optimiser.step(self._poses.values, self.link_table)
 
     def settle(self) -> None:
-        """Move all experiences to the fixed point of relaxation, whatever the budget."""
+        """Move all experiences close to their most likely poses, whatever the budget."""
         self.optimiser.settle(self._poses.values, self.link_table)
 
 

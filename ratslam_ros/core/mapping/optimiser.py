@@ -13,7 +13,7 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.link_weights import link_weights, reweigh
 from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.odometry_noise import OdometryNoise
-from ratslam_ros.core.mapping.relaxation import Relaxation, batch, sweep
+from ratslam_ros.core.mapping.relaxation import batch, relax, sweep
 
 LINKS_PER_ACTION = 2000
 """Number of links that one action may relax on average.
@@ -26,11 +26,23 @@ MAX_CHANGE = 0.01
 """Change of the weight of a recognition, as a share of its full weight, below which the map has
 converged."""
 
+LEAST_GAIN = 0.1
+"""Squared standard deviations: a map whose cost falls by less has converged."""
+
+MAX_STEPS, LARGE_SHARE = 5, 0.9
+"""Steps towards the most likely poses are repeated at once, up to the number, if one leaves less
+than the share of the cost: residuals of recognitions are judged only once loops are closed."""
+
+EQUAL_WEIGHTS = (1e3, 1e9)
+"""Weights of all links if the view spacing is unknown: those of headings are so large that
+positions have no influence on them. The result is the fixed point of equation (7) of Milford et
+al. (2006)."""
+
 FALSE_SHARE = 0.01
 """Share of its full weight below which a recognition is false."""
 
-PLANNING_STEPS_PER_LINK = 12
-"""Estimated planning steps per link, used until the first plan has been made."""
+STEPS_PER_LINK = 12
+"""Estimated elimination steps per link, used until the first relaxation."""
 
 
 class PoseGraphOptimiser(Saved):
@@ -40,21 +52,18 @@ class PoseGraphOptimiser(Saved):
     """
 
     SAVED = (
-        # Number of planned links, whether the plan holds, ``is_settled``, and the saved budget.
+        # Two numbers of earlier versions, ``is_settled``, and the saved budget.
         Field('relaxation', '', int, (4,), 0, MAX_COUNT, save=lambda own: (
-            0 if own._plan is None else own._plan.links, own._plan_holds, own.is_settled,
-            own._saved_steps,
+            0, 0, own.is_settled, own._saved_steps
         )),
-        count('planning_work', '_planning_work'),
+        count('planning_work', '_work'),
         Field('odometry_noise', 'noise', OdometryNoise,
               when=lambda own: own.view_spacing_m > 0.0 or own.noise.has_scans),
     )
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         self._p = parameters
-        self._plan: Relaxation | None = None
-        self._planning_work = 0
-        self._plan_holds = False
+        self._work = 0
         self._saved_steps = 0
         self.view_spacing_m = 0.0
         """Scale of the weights of all links; with 0 all links have the same weight."""
@@ -68,12 +77,16 @@ class PoseGraphOptimiser(Saved):
         """Whether the parameters allow any relaxation."""
         return self._p.exp_loops > 0 and self._p.exp_correction > 0.0
 
-    def structure_changed(self) -> None:
-        """Mark that links were added or deleted, so that a new elimination plan is needed."""
-        self.is_settled = self._plan_holds = False
+    def weights(self, links: Links) -> NDArray[np.float64]:
+        """Return the weights of links, see ``link_weights``, or those of equation (7)."""
+        if self.view_spacing_m == 0.0:
+            return np.tile(EQUAL_WEIGHTS, (len(links), 1))
+        return link_weights(
+            links.shapes, links.recognised, links.shares, self.view_spacing_m, self.noise.std
+        )
 
-    def measurement_changed(self) -> None:
-        """Mark that the distance, heading or facing of a link changed."""
+    def links_changed(self) -> None:
+        """Mark that a link was added, deleted or measured again."""
         self.is_settled = False
 
     def step(self, poses: NDArray[np.float64], links: Links) -> None:
@@ -90,9 +103,7 @@ class PoseGraphOptimiser(Saved):
             correct = sweep if p.exp_relaxation == 'sweep' else batch
             correct(poses, links.ends, links.shapes, p.exp_correction, p.exp_loops)
             return
-        cost = len(links)
-        if not self._plan_holds:
-            cost += (self._planning_work or PLANNING_STEPS_PER_LINK * cost) // 3
+        cost = len(links) + (self._work or STEPS_PER_LINK * len(links)) // 3
         self._saved_steps = min(self._saved_steps + LINKS_PER_ACTION, cost)
         if self.is_settled or self._saved_steps < cost:
             return
@@ -100,35 +111,22 @@ class PoseGraphOptimiser(Saved):
         self.settle(poses, links)
 
     def settle(self, poses: NDArray[np.float64], links: Links) -> None:
-        """Move all experiences to the fixed point of relaxation, whatever the budget.
+        """Move all experiences close to their most likely poses, whatever the budget.
 
-        Arguments as for ``step``.
+        Then adapt the weights of recognitions: one iteration of reweighted least squares. Those
+        that the map still contradicts after another iteration are deleted: routes must not use
+        them. Arguments as for ``step``.
         """
-        if self.view_spacing_m > 0.0:
-            self._settle_weighted(poses, links)
-            return
-        if self._plan is None or not self._plan_holds:
-            self._plan = Relaxation(links.ends, len(poses))
-            self._planning_work = self._plan.work
-            self._plan_holds = True
-        self._plan.relax(poses, links.ends, links.shapes)
-        self.is_settled = True
-
-    def _settle_weighted(self, poses: NDArray[np.float64], links: Links) -> None:
-        """Relax with the present weights, then adapt those of the recognitions.
-
-        This is one iteration of reweighted least squares; the next one follows at a later action.
-        Recognitions that the map still contradicts after another iteration are deleted: routes
-        must not use them.
-        """
-        recognised, shares, scale_m = links.recognised, links.shares, self.view_spacing_m
-        weights = link_weights(links.shapes, recognised, shares, scale_m, self.noise.std)
-        plan = Relaxation(links.ends, len(poses), weights)
-        plan.relax(poses, links.ends, links.shapes, weights)
-        self._planning_work = plan.work
-        before = shares.copy()
-        change = reweigh(poses, links.ends, links.shapes, recognised, shares, scale_m)
-        self.is_settled = change < MAX_CHANGE
+        recognised, shares = links.recognised, links.shares
+        weights, before = self.weights(links), shares.copy()
+        for _ in range(MAX_STEPS):
+            self._work, worse, cost = relax(poses, links.ends, links.shapes, weights)
+            if cost > LARGE_SHARE * worse:
+                break
+        change = reweigh(
+            poses, links.ends, links.shapes, recognised, shares, self.view_spacing_m
+        )
+        self.is_settled = worse - cost < LEAST_GAIN and change < MAX_CHANGE
         false = np.flatnonzero(recognised & (np.maximum(before, shares) < FALSE_SHARE))
         if len(false) > 0:
             links.delete(false.tolist())
@@ -138,7 +136,5 @@ class PoseGraphOptimiser(Saved):
         self._saved_steps = 0
 
     def _restored(self, state: State) -> None:
-        planned, self._plan_holds, self.is_settled, self._saved_steps = state['relaxation']
-        if planned > 0 and self._plan_holds:
-            self._plan = Relaxation(state['ends'][:planned], len(state['poses']))
+        *_, self.is_settled, self._saved_steps = state['relaxation']
         self.view_spacing_m = state.get('view_spacing_m', 0.0)

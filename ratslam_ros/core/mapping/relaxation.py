@@ -1,22 +1,22 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Relaxation: direct solution for the fixed point of the experience map's correction rule.
+"""Relaxation: the most likely poses of the experiences, given the links between them.
 
-The fixed point of equation (7) of Milford, Wyeth and Prasser (2006) is a linear least-squares
-problem: first the headings, then the positions given the headings. Both have the same matrix, the
-Laplacian of the graph, in which links may have weights. It is solved by eliminating experiences in
-the order of their degree. This is the star-mesh transform of resistor networks: a node is removed,
-and its neighbours are linked by weights that represent the paths through it. All terms are
-positive, so there is no cancellation, and the order is fixed, so the result is the same on every
-run. Routes are chains with few crossings, so elimination adds few links and its cost is linear in
-the number of links. Iterative sweeps, in contrast, need a number of sweeps that is quadratic in
-the length of a loop.
+Each link measures the pose of its target relative to its source, so this is nonlinear least
+squares over positions and headings. The steps of Gauss and Newton are solved directly by
+eliminating experiences in the order of their degree: block elimination of a sparse matrix. Routes
+are chains with few crossings, so elimination adds few links and its cost is linear in the number
+of links. The order is fixed, so the result is the same on every run.
+
+The correction rule of the papers, equation (7) of Milford, Wyeth and Prasser (2006), distributes
+the errors of headings first, then those of positions given the headings: where a loop ends says
+nothing about the headings along it. ``sweep`` and ``batch`` are this rule. They need a number of
+sweeps that is quadratic in the length of a loop.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,114 +29,85 @@ Reals = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-MAX_DEGREE = 8
+MAX_DEGREE = 30
 """Degree above which elimination stops; SciPy's sparse factorisation solves the remaining mesh.
 
 The factorisation takes longer to order the mesh, but eliminates it faster.
 """
 
 MESH_STEPS_PER_LINK = 50
-"""Number of planning steps that each link of the mesh counts as; measured on square grids."""
+"""Number of elimination steps that each link of the mesh counts as; measured on square grids."""
+
+STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
+"""Shares of a step of Gauss and Newton; the first that does not raise the cost is taken."""
 
 
-class Relaxation:
-    """Elimination plan of a graph; stays valid while links are added only to new experiences.
+def relax(
+    poses: Reals, ends: Indices, shapes: Reals, weights: Reals
+) -> tuple[int, float, float]:
+    """Take a step of Gauss and Newton towards the most likely poses.
 
     The experience with the lowest id of each connected component is held fixed.
+
+    Args:
+        poses: (n, 3) x, y in m and heading in rad; changed in place.
+        ends: (links, 2) source and target.
+        shapes: (links, 3) distance in m, heading and facing in rad.
+        weights: (links, 2) inverse variances: position in 1/m^2, heading in 1/rad^2.
+
+    Returns:
+        Number of elimination steps, and ``cost`` before and after.
     """
-
-    def __init__(self, ends: Indices, count: int, weights: Reals | None = None) -> None:
-        """Plan the elimination.
-
-        Args:
-            ends: (links, 2) source and target.
-            count: number of experiences.
-            weights: (links,) weights above 0; None: all are 1.
-        """
-        held = _lowest_of_component(ends, count)
-        weights = np.ones(len(ends)) if weights is None else weights
-        self._plan, mesh, (sources, targets, weights), work = _eliminate(
-            ends, weights, count, held, MAX_DEGREE
-        )
-        self._held = held
-        self.links = len(ends)
-        """Number of planned links."""
-        self.work = int(work) + MESH_STEPS_PER_LINK * len(sources)
-        """Number of planning steps; each takes about a third of the time to relax one link."""
-        self._mesh: Indices = mesh
-        self._mesh_solve = None
-        if len(mesh) > 0:
-            self._mesh_solve = _factorised(mesh, held, sources, targets, weights)
-
-    def relax(
-        self, poses: Reals, ends: Indices, shapes: Reals, weights: Reals | None = None
-    ) -> None:
-        """Move all experiences to the fixed point.
-
-        The heading residuals of the present poses are wrapped to ±half a turn.
-
-        Args:
-            poses: (n, 3) x, y in m and heading in rad; changed in place.
-            ends: (links, 2) source and target. The planned links, followed by the links that were
-                added since; each of those has a target that was new.
-            shapes: (links, 3) distance in m, heading and facing in rad.
-            weights: (links,) weights, those of the plan for the planned links; None: all are 1.
-        """
-        weights = np.ones(len(ends)) if weights is None else weights
-        correction = np.zeros((len(poses), 1))
-        _heading_residuals(poses, ends, shapes, weights, correction)
-        self._solve(ends, weights, correction)
-        _rotate(poses, correction)
-        correction = np.zeros((len(poses), 2))
-        _position_residuals(poses, ends, shapes, weights, correction)
-        self._solve(ends, weights, correction)
-        poses[:, :2] += correction
-
-    def _solve(self, ends: Indices, weights: Reals, correction: Reals) -> None:
-        """Solve for the displacements.
-
-        Args:
-            ends, weights: as for ``relax``.
-            correction: (n, k) weighted sums of the residuals; replaced by the displacements.
-        """
-        tail = ends[self.links :]
-        held = np.ones(len(correction), np.bool_)
-        held[: len(self._held)] = self._held
-        held[tail[:, 1]] = False
-        _eliminate_forward(*self._plan, tail, correction)
-        correction[held] = 0.0
-        if self._mesh_solve is not None:
-            correction[self._mesh] = self._mesh_solve(correction[self._mesh])
-        _substitute_back(*self._plan, tail, weights[self.links :], correction)
+    held = _lowest_of_component(ends, len(poses))
+    diagonal, linking, correction = _normal_equations(poses, ends, shapes, weights)
+    plan, mesh, links, work = _eliminate(ends, diagonal, linking, held, MAX_DEGREE)
+    correction[held] = 0.0
+    _eliminate_forward(*plan, correction)
+    if len(mesh) > 0:
+        correction[mesh] = _solved(mesh, *links, diagonal, correction[mesh])
+    _substitute_back(*plan, correction)
+    work += MESH_STEPS_PER_LINK * len(links[0])
+    before = cost(poses, ends, shapes, weights)
+    for share in STEP_SHARES:
+        moved = poses + share * correction
+        after = cost(moved, ends, shapes, weights)
+        if after <= before:
+            poses[:, :2] = moved[:, :2]
+            poses[:, 2] = [wrap(heading_rad) for heading_rad in moved[:, 2].tolist()]
+            return work, before, after
+    return work, before, before
 
 
-def _factorised(
-    mesh: Indices, held: NDArray[np.bool_], sources: Indices, targets: Indices, weights: Reals
-) -> Callable[[Reals], Reals]:
-    """Return a solver for the experiences of the mesh.
+def _solved(
+    mesh: Indices, sources: Indices, targets: Indices, blocks: Reals, diagonal: Reals,
+    right: Reals,
+) -> Reals:
+    """Return the (m, 3) displacements of the experiences of the mesh.
 
     Args:
         mesh: (m,) experiences.
-        held: (n,) whether an experience is held fixed.
         sources, targets: (links,) ends of the links of the mesh, one entry per direction.
-        weights: (links,) weights of these links.
+        blocks: (links, 3, 3) blocks of these links.
+        diagonal: (n, 3, 3) blocks of all experiences.
+        right: (m, 3) right sides.
     """
-    from scipy.sparse import csc_array  # loaded only if there is a mesh: the import is slow
+    from scipy.sparse import bsr_array  # loaded only if there is a mesh: the import is slow
     from scipy.sparse.linalg import splu
 
-    number = np.full(len(held), -1)
+    number = np.full(len(diagonal), -1)
     number[mesh] = np.arange(len(mesh))
-    total = np.bincount(number[sources], weights, len(mesh))
-    inner = ~held[targets]
-    rows = np.concatenate([number[mesh], number[sources[inner]]])
-    columns = np.concatenate([number[mesh], number[targets[inner]]])
-    values = np.concatenate([total, -weights[inner]])
-    laplacian = csc_array((values, (rows, columns)), shape=(len(mesh), len(mesh)))
-    solve: Callable[[Reals], Reals] = splu(
-        laplacian, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
+    rows = number[np.concatenate([mesh, sources])]
+    order = np.argsort(rows, kind='stable')
+    columns = number[np.concatenate([mesh, targets])[order]]
+    values = np.concatenate([diagonal[mesh], blocks])[order]
+    starts = np.searchsorted(rows[order], np.arange(len(mesh) + 1))
+    matrix = bsr_array((values, columns, starts), shape=(right.size, right.size)).tocsc()
+    factors = splu(
+        matrix, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
         options={'SymmetricMode': True},
-    ).solve
-    return solve
+    )
+    solution: Reals = factors.solve(right.ravel())
+    return solution.reshape(-1, 3)
 
 
 @compiled
@@ -158,36 +129,41 @@ def _lowest_of_component(ends: Indices, count: int) -> NDArray[np.bool_]:
 
 @compiled
 def _adjacency(
-    ends: Indices, link_weights: Reals, count: int
+    ends: Indices, linking: Reals, held: NDArray[np.bool_]
 ) -> tuple[Indices, Indices, Indices, Reals, Indices, int]:
     """Return the neighbours of every experience, as linked lists in a pool of entries.
 
+    Held experiences are left out: they do not move.
+
     Returns:
-        (count,) first entry of each experience or -1, and number of its neighbours; neighbour and
-        weight of each entry, and the next entry of the list or -1, with room for more; number of
+        (n,) first entry of each experience or -1, and number of its neighbours; neighbour and
+        block of each entry, and the next entry of the list or -1, with room for more; number of
         entries.
     """
+    count = held.shape[0]
     head, degree = np.full(count, -1), np.zeros(count, np.int64)
     size = 2 * ends.shape[0] + 16
-    other, weight, after = np.empty(size, np.int64), np.empty(size), np.empty(size, np.int64)
+    other, after = np.empty(size, np.int64), np.empty(size, np.int64)
+    block = np.zeros((size, 3, 3))
     used = 0
     for link in range(ends.shape[0]):
+        if ends[link, 0] == ends[link, 1] or held[ends[link, 0]] or held[ends[link, 1]]:
+            continue
         for side in range(2):
             i = ends[link, side]
             j = ends[link, 1 - side]
-            if i == j:
-                continue
             at = head[i]
             while at >= 0 and other[at] != j:
                 at = after[at]
-            if at >= 0:
-                weight[at] += link_weights[link]
-                continue
-            other[used], weight[used], after[used] = j, link_weights[link], head[i]
-            head[i] = used
-            degree[i] += 1
-            used += 1
-    return head, degree, other, weight, after, used
+            if at < 0:
+                at = used
+                other[at], after[at], head[i] = j, head[i], at
+                degree[i] += 1
+                used += 1
+            for r in range(3):
+                for c in range(3):
+                    block[at, r, c] += linking[link, r, c] if side == 0 else linking[link, c, r]
+    return head, degree, other, block, after, used
 
 
 @compiled
@@ -220,7 +196,7 @@ def _remove(i: int, degree: int, first: Indices, left: Indices, right: Indices) 
 @compiled
 def _grown(entries: NDArray[Any]) -> NDArray[Any]:
     """Return an array of twice the size that begins with given entries."""
-    return np.concatenate((entries, np.empty_like(entries)))
+    return np.concatenate((entries, np.zeros_like(entries)))
 
 
 @compiled
@@ -241,45 +217,77 @@ def _index(
 
 @compiled
 def _links_of(
-    mesh: Indices, head: Indices, degree: Indices, other: Indices, weight: Reals, after: Indices
+    mesh: Indices, head: Indices, degree: Indices, other: Indices, block: Reals, after: Indices
 ) -> tuple[Indices, Indices, Reals]:
-    """Return sources, targets and weights of the links of experiences, one entry per direction."""
+    """Return sources, targets and blocks of the links of experiences, one entry per direction."""
     count = degree[mesh].sum()
     sources, targets = np.empty(count, np.int64), np.empty(count, np.int64)
-    weights = np.empty(count)
+    blocks = np.empty((count, 3, 3))
     filled = 0
     for i in mesh:
         at = head[i]
         while at >= 0:
-            sources[filled], targets[filled], weights[filled] = i, other[at], weight[at]
+            sources[filled], targets[filled], blocks[filled] = i, other[at], block[at]
             filled += 1
             at = after[at]
-    return sources, targets, weights
+    return sources, targets, blocks
+
+
+@compiled
+def _inverse(block: Reals, inverse: Reals) -> None:
+    """Invert a symmetric positive definite block."""
+    a, b, c = block[0, 0], block[0, 1], block[0, 2]
+    d, e, f = block[1, 1], block[1, 2], block[2, 2]
+    x, y, z = d * f - e * e, c * e - b * f, b * e - c * d
+    scale = 1.0 / (a * x + b * y + c * z)
+    inverse[0, 0], inverse[0, 1], inverse[0, 2] = x * scale, y * scale, z * scale
+    inverse[1, 0], inverse[1, 1] = y * scale, (a * f - c * c) * scale
+    inverse[1, 2] = inverse[2, 1] = (b * c - a * e) * scale
+    inverse[2, 0], inverse[2, 2] = z * scale, (a * d - b * b) * scale
+
+
+@compiled
+def _subtract_product(
+    left: Reals, a: int, right: Reals, b: int, result: Reals, c: int
+) -> None:
+    """Subtract the product of two blocks, given by arrays and indices, from a third one."""
+    for i in range(3):
+        x, y, z = left[a, i, 0], left[a, i, 1], left[a, i, 2]
+        for j in range(3):
+            result[c, i, j] -= x * right[b, 0, j] + y * right[b, 1, j] + z * right[b, 2, j]
 
 
 @compiled
 def _eliminate(
-    ends: Indices, link_weights: Reals, count: int, held: NDArray[np.bool_], mesh_degree: int
+    ends: Indices, diagonal: Reals, linking: Reals, held: NDArray[np.bool_], mesh_degree: int
 ) -> tuple[
     tuple[Indices, Indices, Indices, Reals, Reals], Indices, tuple[Indices, Indices, Reals], int
 ]:
     """Eliminate experiences by degree, up to a degree of ``mesh_degree``.
 
+    Args:
+        ends: (links, 2) source and target.
+        diagonal, linking: from ``_normal_equations``; the first is changed in place.
+        held: (n,) whether an experience is held fixed.
+        mesh_degree: largest degree.
+
     Returns:
         The plan: the (m,) experiences in the order of elimination; the (m + 1,) index of the first
-        neighbour of each; all neighbours, and their shares, which sum to 1 for each experience;
-        and the (m,) sums of the weights of the links of each. Then the remaining experiences;
-        sources, targets and weights of their links, (links,) each; and the number of steps taken.
+        neighbour of each; all neighbours, and the (3, 3) factors of their rows; and the (m, 3, 3)
+        inverse blocks of the experiences. Then the remaining experiences; sources, targets and
+        blocks of their links, (links,) each; and the number of steps taken.
     """
-    head, degree, other, weight, after, used = _adjacency(ends, link_weights, count)
+    count = held.shape[0]
+    head, degree, other, block, after, used = _adjacency(ends, linking, held)
     first, left, right = np.full(count + 1, -1), np.full(count, -1), np.full(count, -1)
     for i in range(count - 1, -1, -1):
         if not held[i]:
             _insert(i, degree[i], first, left, right)
     total = count - held.sum()
     order, starts = np.empty(total, np.int64), np.zeros(total + 1, np.int64)
-    weights = np.empty(total)
-    neighbours, shares = np.empty(len(other), np.int64), np.empty(len(other))
+    inverses = np.empty((total, 3, 3))
+    neighbours, factors = np.empty(len(other), np.int64), np.zeros((len(other), 3, 3))
+    entries = np.empty(len(other), np.int64)
     filled, least, work, done = 0, 0, 0, 0
     entry = np.full(count, -1)
     remains = ~held
@@ -294,17 +302,23 @@ def _eliminate(
         remains[v] = False
         begin, more = filled, degree[v]
         if filled + more > neighbours.shape[0]:
-            neighbours, shares = _grown(neighbours), _grown(shares)
+            neighbours, factors, entries = _grown(neighbours), _grown(factors), _grown(entries)
         while used + more * more > other.shape[0]:
-            other, weight, after = _grown(other), _grown(weight), _grown(after)
-        sum_of_weights = 0.0
+            other, block, after = _grown(other), _grown(block), _grown(after)
+        _inverse(diagonal[v], inverses[step])
         at = head[v]
         while at >= 0:
-            neighbours[filled], shares[filled] = other[at], weight[at]
-            sum_of_weights += weight[at]
+            neighbours[filled], entries[filled] = other[at], at
+            for r in range(3):
+                for c in range(3):
+                    factors[filled, r, c] = (
+                        block[at, 0, r] * inverses[step, 0, c]
+                        + block[at, 1, r] * inverses[step, 1, c]
+                        + block[at, 2, r] * inverses[step, 2, c]
+                    )
             filled += 1
             at = after[at]
-        order[step], starts[step + 1], weights[step] = v, filled, sum_of_weights
+        order[step], starts[step + 1] = v, filled
 
         for a in range(begin, filled):
             i = neighbours[a]
@@ -314,31 +328,30 @@ def _eliminate(
             for b in range(begin, filled):
                 j = neighbours[b]
                 if a == b:
+                    _subtract_product(factors, a, block, entries[b], diagonal, i)
                     continue
-                led = shares[a] * shares[b] / sum_of_weights
-                if entry[j] >= 0:
-                    weight[entry[j]] += led
-                else:
-                    other[used], weight[used], after[used] = j, led, head[i]
-                    head[i] = used
+                if entry[j] < 0:
+                    other[used], after[used] = j, head[i]
+                    block[used] = 0.0
+                    head[i] = entry[j] = used
                     used += 1
+                _subtract_product(factors, a, block, entries[b], block, entry[j])
             at = head[i]
             while at >= 0:
                 entry[other[at]] = -1
                 at = after[at]
             new_degree = degree[i] - 1 + used - before
-            if new_degree != degree[i] and not held[i]:
+            if new_degree != degree[i]:
                 _remove(i, degree[i], first, left, right)
                 _insert(i, new_degree, first, left, right)
                 least = min(least, new_degree)
             degree[i] = new_degree
-        shares[begin:filled] /= sum_of_weights
     mesh = np.flatnonzero(remains)
     plan = (
         order[:done].copy(), starts[: done + 1].copy(), neighbours[:filled].copy(),
-        shares[:filled].copy(), weights[:done].copy(),
+        factors[:filled].copy(), inverses[:done].copy(),
     )
-    return plan, mesh, _links_of(mesh, head, degree, other, weight, after), work
+    return plan, mesh, _links_of(mesh, head, degree, other, block, after), work
 
 
 @compiled
@@ -354,66 +367,94 @@ def link_residual(
 
 
 @compiled
-def _heading_residuals(
-    poses: Reals, ends: Indices, shapes: Reals, weights: Reals, correction: Reals
-) -> None:
-    """Sum the weighted heading residuals of the links at each experience, (n, 1)."""
+def cost(poses: Reals, ends: Indices, shapes: Reals, weights: Reals) -> float:
+    """Return the sum of the squared residuals in standard deviations.
+
+    Arguments as for ``relax``.
+    """
+    total = 0.0
     for link in range(ends.shape[0]):
-        i, j, _, _, turn = link_residual(poses, ends, shapes, link)
-        correction[i, 0] += weights[link] * turn
-        correction[j, 0] -= weights[link] * turn
+        _, _, x, y, turn = link_residual(poses, ends, shapes, link)
+        total += weights[link, 0] * (x * x + y * y) + weights[link, 1] * turn * turn
+    return total
 
 
 @compiled
-def _rotate(poses: Reals, correction: Reals) -> None:
-    """Add (n, 1) corrections to the headings."""
-    for i in range(poses.shape[0]):
-        poses[i, 2] = wrap(poses[i, 2] + correction[i, 0])
+def _normal_equations(
+    poses: Reals, ends: Indices, shapes: Reals, weights: Reals
+) -> tuple[Reals, Reals, Reals]:
+    """Return the linear equations for a step; arguments as for ``relax``.
 
+    A rotation of its source moves the predicted target of a link sideways.
 
-@compiled
-def _position_residuals(
-    poses: Reals, ends: Indices, shapes: Reals, weights: Reals, correction: Reals
-) -> None:
-    """Sum the weighted position residuals of the links at each experience, (n, 2)."""
+    Returns:
+        (n, 3, 3) block of each experience; (links, 3, 3) block of each link, with the row of its
+        source and the column of its target; (n, 3) right sides.
+    """
+    count = poses.shape[0]
+    diagonal, linking = np.zeros((count, 3, 3)), np.zeros((ends.shape[0], 3, 3))
+    right = np.zeros((count, 3))
     for link in range(ends.shape[0]):
-        i, j, x, y, _ = link_residual(poses, ends, shapes, link)
-        correction[i, 0] += weights[link] * x
-        correction[i, 1] += weights[link] * y
-        correction[j, 0] -= weights[link] * x
-        correction[j, 1] -= weights[link] * y
+        i, j, x, y, turn = link_residual(poses, ends, shapes, link)
+        if i == j:
+            continue
+        direction = poses[i, 2] + shapes[link, 1]
+        u = shapes[link, 0] * math.sin(direction)
+        v = -shapes[link, 0] * math.cos(direction)
+        p, h = weights[link, 0], weights[link, 1]
+        for k in (i, j):
+            diagonal[k, 0, 0] += p
+            diagonal[k, 1, 1] += p
+            diagonal[k, 2, 2] += h
+        diagonal[i, 0, 2] -= p * u
+        diagonal[i, 2, 0] -= p * u
+        diagonal[i, 1, 2] -= p * v
+        diagonal[i, 2, 1] -= p * v
+        diagonal[i, 2, 2] += p * (u * u + v * v)
+        linking[link, 0, 0] = linking[link, 1, 1] = -p
+        linking[link, 2, 0], linking[link, 2, 1], linking[link, 2, 2] = p * u, p * v, -h
+        right[i, 0] += p * x
+        right[i, 1] += p * y
+        right[i, 2] += h * turn - p * (u * x + v * y)
+        right[j, 0] -= p * x
+        right[j, 1] -= p * y
+        right[j, 2] -= h * turn
+    return diagonal, linking, right
 
 
 @compiled
 def _eliminate_forward(
-    order: Indices, starts: Indices, neighbours: Indices, shares: Reals, weights: Reals,
-    tail: Indices, correction: Reals,
+    order: Indices, starts: Indices, neighbours: Indices, factors: Reals, inverses: Reals,
+    right: Reals,
 ) -> None:
-    """Forward elimination: add each residual to those of its neighbours, the newest first."""
-    for axis in range(correction.shape[1]):
-        for link in range(tail.shape[0] - 1, -1, -1):
-            correction[tail[link, 0], axis] += correction[tail[link, 1], axis]
-        for step in range(order.shape[0]):
-            pull = correction[order[step], axis]
-            for at in range(starts[step], starts[step + 1]):
-                correction[neighbours[at], axis] += shares[at] * pull
+    """Forward elimination of (n, 3) right sides."""
+    for step in range(order.shape[0]):
+        x, y, z = right[order[step]]
+        for at in range(starts[step], starts[step + 1]):
+            for r in range(3):
+                right[neighbours[at], r] -= (
+                    factors[at, r, 0] * x + factors[at, r, 1] * y + factors[at, r, 2] * z
+                )
 
 
 @compiled
 def _substitute_back(
-    order: Indices, starts: Indices, neighbours: Indices, shares: Reals, weights: Reals,
-    tail: Indices, tail_weights: Reals, correction: Reals,
+    order: Indices, starts: Indices, neighbours: Indices, factors: Reals, inverses: Reals,
+    right: Reals,
 ) -> None:
     """Back substitution: compute each displacement from those of its neighbours."""
-    for axis in range(correction.shape[1]):
-        for step in range(order.shape[0] - 1, -1, -1):
-            moved = correction[order[step], axis] / weights[step]
-            for at in range(starts[step], starts[step + 1]):
-                moved += shares[at] * correction[neighbours[at], axis]
-            correction[order[step], axis] = moved
-        for link in range(tail.shape[0]):
-            displaced = correction[tail[link, 1], axis] / tail_weights[link]
-            correction[tail[link, 1], axis] = displaced + correction[tail[link, 0], axis]
+    for step in range(order.shape[0] - 1, -1, -1):
+        x, y, z = right[order[step]]
+        for r in range(3):
+            right[order[step], r] = (
+                inverses[step, r, 0] * x + inverses[step, r, 1] * y + inverses[step, r, 2] * z
+            )
+        for at in range(starts[step], starts[step + 1]):
+            x, y, z = right[neighbours[at]]
+            for r in range(3):
+                right[order[step], r] -= (
+                    factors[at, 0, r] * x + factors[at, 1, r] * y + factors[at, 2, r] * z
+                )
 
 
 @compiled

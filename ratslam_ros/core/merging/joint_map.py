@@ -155,7 +155,7 @@ class JointMap:
             return
         optimiser.view_spacing_m, optimiser.noise = self.view_spacing_m, self.noise
         for _ in range(MAX_ITERATIONS):
-            optimiser.structure_changed()
+            optimiser.links_changed()
             optimiser.settle(poses, links)
             if optimiser.is_settled:
                 break

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from graphs import (
     NONE,
-    Reals,
     arrive,
-    dense_fixed_point,
+    dense_step,
     drive,
     go,
     max_difference,
@@ -86,7 +85,11 @@ def test_batch_converges_to_the_fixed_point_at_the_published_rate() -> None:
     graph = driven_circle(12, 2 * math.pi / 11, exp_relaxation='batch', exp_loops=2000)
     for target in (0, 4, 8, 0, 4):  # up to six links at a place
         close_loop(graph, target, 0.1)
-    assert max_difference(graph.poses, fixed_point(graph)) < 1e-9
+    e, ends = residuals_of(graph), graph.link_ends
+    pull = np.zeros_like(graph.poses)
+    np.add.at(pull, ends[:, 0], e)
+    np.subtract.at(pull, ends[:, 1], e)
+    assert np.abs(pull[1:]).max() < 1e-9
 
 
 # Direct solution
@@ -107,19 +110,33 @@ def close_loop(graph: ExperienceMap, target: int = 0, turn_rad: float = 0.0) -> 
     arrive(graph, target)
 
 
-def fixed_point(graph: ExperienceMap) -> Reals:
-    return dense_fixed_point(graph.poses, graph.link_ends, graph.link_table.shapes)
+def still_to_move(graph: ExperienceMap) -> float:
+    """Return the largest displacement of the next step, in m or rad."""
+    table = graph.link_table
+    weights = graph.optimiser.weights(table)
+    return float(np.abs(dense_step(graph.poses, table.ends, table.shapes, weights)).max())
 
 
-def test_loop_closure_is_relaxed_to_the_fixed_point() -> None:
+def settle(graph: ExperienceMap) -> int:
+    """Apply actions until the map has converged; return their number."""
+    actions = 0
+    while not graph.optimiser.is_settled:
+        graph.apply(NONE)
+        actions += 1
+    return actions
+
+
+def test_loop_closure_is_relaxed_within_a_few_actions() -> None:
     graph = driven_circle(200, 2 * math.pi / 190)
     before = graph.poses
     close_loop(graph)
     assert max_difference(graph.poses, before) > 0.3
-    assert max_difference(graph.poses, fixed_point(graph)) < 1e-9
+    assert settle(graph) < 6
+    assert still_to_move(graph) < 0.01
     for target in (1, 2, 3):
         close_loop(graph, target, 0.05)
-        assert max_difference(graph.poses, fixed_point(graph)) < 1e-9
+    assert settle(graph) < 4
+    assert still_to_move(graph) < 0.01
 
 
 @pytest.mark.parametrize('disabling', [{'exp_loops': 0}, {'exp_correction': 0.0}])
@@ -133,13 +150,16 @@ def test_disabled_relaxation_moves_nothing(disabling: dict[str, float]) -> None:
 def test_new_experiences_do_not_move_old_ones() -> None:
     graph = driven_circle(50, 0.1)
     close_loop(graph, 10)
+    settle(graph)
     before = graph.poses
     for target in range(50, 80):
         graph.integrate(Motion(1.0, 1.0, 0.2))
         arrive(graph, target)
     assert np.array_equal(graph.poses[:50], before)
     close_loop(graph, 20)  # the new experiences become part of a loop
-    assert max_difference(graph.poses, fixed_point(graph)) < 1e-9
+    settle(graph)
+    assert not np.array_equal(graph.poses[21:50], before[21:])
+    assert still_to_move(graph) < 0.02
 
 
 def test_large_map_is_relaxed_after_several_actions() -> None:
@@ -156,9 +176,8 @@ def test_large_map_is_relaxed_after_several_actions() -> None:
         graph.apply(NONE)
         actions += 1
         assert actions < 40
-    relaxed = graph.poses
     graph.settle()
-    assert max_difference(graph.poses, relaxed) < 1e-9
+    assert not np.array_equal(graph.poses, first)
 
 
 def test_restored_map_relaxes_bit_identically(tmp_path: Path) -> None:
@@ -203,7 +222,7 @@ def test_consistent_loop_is_not_moved(sides: int, sense: float, correction: floa
     unrelaxed, relaxed = (
         driven_polygon(sides, turn_rad, loops, correction) for loops in (0, 50)
     )
-    assert np.abs(unrelaxed.poses - relaxed.poses).max() < 1e-9
+    assert max_difference(unrelaxed.poses, relaxed.poses) < 1e-9
     assert np.hypot(*np.diff(relaxed.poses[:, :2], axis=0).T) == pytest.approx(1.0)
 
 
@@ -243,16 +262,6 @@ def test_small_sweeps_converge_to_equation_7() -> None:
     for axis in range(3):  # residuals balance at each experience except the fixed one
         for k in range(1, 8):
             assert e[k - 1, axis] == pytest.approx(e[k, axis], abs=1e-3)
-
-
-def test_small_sweeps_converge_to_the_direct_solution() -> None:
-    graph = driven_circle(12, 2 * math.pi / 12 + 0.02, exp_loops=0)
-    close_loop(graph)
-    expected = fixed_point(graph)
-    graph = restored(graph, sweeping(10_000, 0.002))
-    for _ in range(40):
-        graph.apply(NONE)
-    assert max_difference(graph.poses, expected) < 5e-3
 
 
 @settings(max_examples=25)

@@ -309,8 +309,8 @@ def test_returns_to_known_places_measure_the_odometry() -> None:
     weighted, equal = new_map(), new_map()
     drive_known_laps(weighted, 5, weighted=True)
     drive_known_laps(equal, 5, weighted=False)
-    assert equal.odometry_std == PRIOR_STD
-    assert weighted.odometry_std < 0.5 * PRIOR_STD
+    assert equal.optimiser.noise.std == PRIOR_STD
+    assert weighted.optimiser.noise.std < 0.5 * PRIOR_STD
 
 
 @pytest.mark.parametrize('gated', [False, True])
