@@ -76,7 +76,8 @@ def geman_mcclure(squared: float) -> float:
 
 @compiled
 def link_weights(
-    shapes: Reals, recognised: Flags, shares: Reals, view_spacing_m: float, odometry_std: float
+    shapes: Reals, recognised: Flags, shares: Reals, view_spacing_m: float, odometry_std: float,
+    heading_std: float,
 ) -> Reals:
     """Return the weights of all links, (links, 2): position in 1/m^2, heading in 1/rad^2.
 
@@ -87,6 +88,7 @@ def link_weights(
         view_spacing_m: view spacing.
         odometry_std: standard deviation of the position after one view spacing of odometry, in
             view spacings.
+        heading_std: ``HEADING_STD``.
     """
     weights = np.empty((shapes.shape[0], 2))
     for link in range(shapes.shape[0]):
@@ -99,7 +101,7 @@ def link_weights(
             variance = odometry_std * odometry_std * spacings
             variance += LEAST_ODOMETRY_STD * LEAST_ODOMETRY_STD
             weights[link, 0] = 1.0 / variance
-            weights[link, 1] = 1.0 / (HEADING_STD * HEADING_STD * variance)
+            weights[link, 1] = 1.0 / (heading_std * heading_std * variance)
         weights[link, 0] /= view_spacing_m * view_spacing_m
     return weights
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import ExperienceMapParameters
-from ratslam_ros.core.mapping.link_weights import link_weights, reweigh
+from ratslam_ros.core.mapping.link_weights import HEADING_STD, link_weights, reweigh
 from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.odometry_noise import OdometryNoise
 from ratslam_ros.core.mapping.relaxation import batch, relax, sweep
@@ -82,7 +82,8 @@ class PoseGraphOptimiser(Saved):
         if self.view_spacing_m == 0.0:
             return np.tile(EQUAL_WEIGHTS, (len(links), 1))
         return link_weights(
-            links.shapes, links.recognised, links.shares, self.view_spacing_m, self.noise.std
+            links.shapes, links.recognised, links.shares, self.view_spacing_m, self.noise.std,
+            HEADING_STD,
         )
 
     def links_changed(self) -> None:

@@ -29,7 +29,7 @@ Reals = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-MAX_DEGREE = 30
+MAX_DEGREE = 60
 """Degree above which elimination stops; SciPy's sparse factorisation solves the remaining mesh.
 
 The factorisation takes longer to order the mesh, but eliminates it faster.
@@ -72,8 +72,7 @@ def relax(
         moved = poses + share * correction
         after = cost(moved, ends, shapes, weights)
         if after <= before:
-            poses[:, :2] = moved[:, :2]
-            poses[:, 2] = [wrap(heading_rad) for heading_rad in moved[:, 2].tolist()]
+            _replace(poses, moved)
             return work, before, after
     return work, before, before
 
@@ -250,11 +249,18 @@ def _inverse(block: Reals, inverse: Reals) -> None:
 def _subtract_product(
     left: Reals, a: int, right: Reals, b: int, result: Reals, c: int
 ) -> None:
-    """Subtract the product of two blocks, given by arrays and indices, from a third one."""
+    """Subtract the product of two blocks, given by arrays and indices, from a third one.
+
+    Unrolled by hand, as the compiler cannot know that the result is another array.
+    """
+    r00, r01, r02 = right[b, 0, 0], right[b, 0, 1], right[b, 0, 2]
+    r10, r11, r12 = right[b, 1, 0], right[b, 1, 1], right[b, 1, 2]
+    r20, r21, r22 = right[b, 2, 0], right[b, 2, 1], right[b, 2, 2]
     for i in range(3):
         x, y, z = left[a, i, 0], left[a, i, 1], left[a, i, 2]
-        for j in range(3):
-            result[c, i, j] -= x * right[b, 0, j] + y * right[b, 1, j] + z * right[b, 2, j]
+        result[c, i, 0] -= x * r00 + y * r10 + z * r20
+        result[c, i, 1] -= x * r01 + y * r11 + z * r21
+        result[c, i, 2] -= x * r02 + y * r12 + z * r22
 
 
 @compiled
@@ -377,6 +383,13 @@ def cost(poses: Reals, ends: Indices, shapes: Reals, weights: Reals) -> float:
         _, _, x, y, turn = link_residual(poses, ends, shapes, link)
         total += weights[link, 0] * (x * x + y * y) + weights[link, 1] * turn * turn
     return total
+
+
+@compiled
+def _replace(poses: Reals, moved: Reals) -> None:
+    """Replace poses by others, with headings within half a turn."""
+    for i in range(poses.shape[0]):
+        poses[i] = moved[i, 0], moved[i, 1], wrap(moved[i, 2])
 
 
 @compiled
