@@ -195,23 +195,31 @@ def _remove(i: int, degree: int, first: Indices, left: Indices, right: Indices) 
 @compiled
 def _grown(entries: NDArray[Any]) -> NDArray[Any]:
     """Return an array of twice the size that begins with given entries."""
-    return np.concatenate((entries, np.zeros_like(entries)))
+    return np.concatenate((entries, np.empty_like(entries)))
 
 
 @compiled
 def _index(
-    i: int, v: int, head: Indices, other: Indices, after: Indices, entry: Indices
-) -> None:
-    """Index the list of an experience i by neighbour, and remove its neighbour v from it."""
-    at, before = head[i], -1
+    i: int, v: int, head: Indices, other: Indices, after: Indices, entry: Indices,
+    owner: Indices, number: int,
+) -> int:
+    """Index the list of an experience i by neighbour, and remove its neighbour v from it.
+
+    Entries are valid if their owner is ``number``. Returns the removed entry.
+    """
+    at, before, removed = head[i], -1, -1
     while at >= 0:
         if other[at] != v:
             entry[other[at]] = before = at
-        elif before < 0:
-            head[i] = after[at]
+            owner[other[at]] = number
         else:
-            after[before] = after[at]
+            removed = at
+            if before < 0:
+                head[i] = after[at]
+            else:
+                after[before] = after[at]
         at = after[at]
+    return removed
 
 
 @compiled
@@ -292,10 +300,10 @@ def _eliminate(
     total = count - held.sum()
     order, starts = np.empty(total, np.int64), np.zeros(total + 1, np.int64)
     inverses = np.empty((total, 3, 3))
-    neighbours, factors = np.empty(len(other), np.int64), np.zeros((len(other), 3, 3))
-    entries = np.empty(len(other), np.int64)
-    filled, least, work, done = 0, 0, 0, 0
-    entry = np.full(count, -1)
+    neighbours, entries = np.empty(2 * len(other), np.int64), np.empty(2 * len(other), np.int64)
+    factors = np.empty((2 * len(other), 3, 3))
+    filled, least, work, done, free = 0, 0, 0, 0, -1
+    entry, owner = np.empty(count, np.int64), np.full(count, -1)
     remains = ~held
     for step in range(total):
         while first[least] < 0:
@@ -329,33 +337,34 @@ def _eliminate(
         for a in range(begin, filled):
             i = neighbours[a]
             work += degree[i] + filled - begin
-            before = used
-            _index(i, v, head, other, after, entry)
+            new_degree = degree[i] - 1
+            at = _index(i, v, head, other, after, entry, owner, a)
+            after[at], free = free, at
             for b in range(begin, filled):
                 j = neighbours[b]
                 if a == b:
                     _subtract_product(factors, a, block, entries[b], diagonal, i)
                     continue
-                if entry[j] < 0:
-                    other[used], after[used] = j, head[i]
-                    block[used] = 0.0
-                    head[i] = entry[j] = used
-                    used += 1
+                if owner[j] != a:
+                    if free < 0:
+                        at, used = used, used + 1
+                    else:
+                        at, free = free, after[free]
+                    other[at], after[at], block[at] = j, head[i], 0.0
+                    head[i] = entry[j] = at
+                    owner[j] = a
+                    new_degree += 1
                 _subtract_product(factors, a, block, entries[b], block, entry[j])
-            at = head[i]
-            while at >= 0:
-                entry[other[at]] = -1
-                at = after[at]
-            new_degree = degree[i] - 1 + used - before
             if new_degree != degree[i]:
                 _remove(i, degree[i], first, left, right)
                 _insert(i, new_degree, first, left, right)
                 least = min(least, new_degree)
             degree[i] = new_degree
+        for a in range(begin, filled):
+            after[entries[a]], free = free, entries[a]
     mesh = np.flatnonzero(remains)
     plan = (
-        order[:done].copy(), starts[: done + 1].copy(), neighbours[:filled].copy(),
-        factors[:filled].copy(), inverses[:done].copy(),
+        order[:done], starts[: done + 1], neighbours[:filled], factors[:filled], inverses[:done]
     )
     return plan, mesh, _links_of(mesh, head, degree, other, block, after), work
 
