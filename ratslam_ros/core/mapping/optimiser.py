@@ -70,7 +70,7 @@ class PoseGraphOptimiser(Saved):
         self.noise = OdometryNoise()
         """Noise of the odometry, which the weights follow."""
         self.is_settled = True
-        """Whether the poses are the optimum for the present links."""
+        """Whether the poses are close to the optimum for the present links."""
 
     @property
     def is_enabled(self) -> bool:
@@ -122,7 +122,7 @@ class PoseGraphOptimiser(Saved):
         weights, before = self.weights(links), shares.copy()
         for _ in range(MAX_STEPS):
             self._work, worse, cost = relax(poses, links.ends, links.shapes, weights)
-            if cost > LARGE_SHARE * worse:
+            if cost >= LARGE_SHARE * worse:
                 break
         change = reweigh(
             poses, links.ends, links.shapes, recognised, shares, self.view_spacing_m
