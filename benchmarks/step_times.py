@@ -360,7 +360,7 @@ def loop_closure(curve: Curve, quick: bool) -> Iterator[Row]:
             sweeps, reached = sweeps_until(count, 1.01 * solved_m, 3_000 if quick else 40_000)
             cpp_ms = sweeps * 0.125
             prefix = '' if reached else 'more than '
-            yield Row('experience map: closing a large loop, to the fixed point', '6,000',
+            yield Row('experience map: closing a large loop', '6,000',
                       f'{prefix}{cpp_ms:,.0f}', cpp_ms / 20.0, times_ms,
                       f'sweeps to within 1 %: {prefix}{sweeps:,}')
 

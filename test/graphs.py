@@ -119,7 +119,7 @@ def jacobian(poses: Reals, ends: Indices, shapes: Reals) -> Reals:
 
 
 def dense_step(poses: Reals, ends: Indices, shapes: Reals, weights: Reals) -> Reals:
-    """Return (n, 3) displacements: the step of Gauss and Newton, by dense least squares.
+    """Return (n, 3) displacements: a Gauss-Newton step, by dense least squares.
 
     The lowest id of each connected component is held fixed.
     """

@@ -3,7 +3,7 @@
 """Experience map: the pose graph, built from map actions (MapAction) and odometry (Motion).
 
 Milford et al. (2006), section III, and OpenRatSLAM (Ball et al. 2013). linked_graph.py changes the
-links, link_learning.py has equation (9), and relaxation.py equation (7) and what replaces it.
+links, link_learning.py has equation (9), and relaxation.py optimises the poses.
 
 Additions judge closures (``Closures``), link recognised places (recognised_links.py) and correct
 turns (corrected_turns.py); core/config/additions.py lists them.

@@ -30,9 +30,9 @@ Flags = NDArray[np.bool_]
 LEAST_ODOMETRY_STD = 0.02
 """Standard deviation of a link of length zero, in view spacings."""
 
-HEADING_STD = 0.5
-"""Standard deviation of the heading of a link of odometry, in rad, for one view spacing of the
-position."""
+HEADING_RAD_PER_SPACING = 0.5
+"""Standard deviation of the heading of an odometry link in rad, divided by that of its position in
+view spacings."""
 
 VIEW_STD, VIEW_STD_RAD = 0.25, 0.15
 """Standard deviation of a recognition: position in view spacings, and heading."""
@@ -77,7 +77,7 @@ def geman_mcclure(squared: float) -> float:
 @compiled
 def link_weights(
     shapes: Reals, recognised: Flags, shares: Reals, view_spacing_m: float, odometry_std: float,
-    heading_std: float,
+    rad_per_spacing: float,
 ) -> Reals:
     """Return the weights of all links, (links, 2): position in 1/m^2, heading in 1/rad^2.
 
@@ -88,7 +88,7 @@ def link_weights(
         view_spacing_m: view spacing.
         odometry_std: standard deviation of the position after one view spacing of odometry, in
             view spacings.
-        heading_std: ``HEADING_STD``.
+        rad_per_spacing: ``HEADING_RAD_PER_SPACING``, which cached machine code must not contain.
     """
     weights = np.empty((shapes.shape[0], 2))
     for link in range(shapes.shape[0]):
@@ -101,7 +101,7 @@ def link_weights(
             variance = odometry_std * odometry_std * spacings
             variance += LEAST_ODOMETRY_STD * LEAST_ODOMETRY_STD
             weights[link, 0] = 1.0 / variance
-            weights[link, 1] = 1.0 / (heading_std * heading_std * variance)
+            weights[link, 1] = 1.0 / (rad_per_spacing * rad_per_spacing * variance)
         weights[link, 0] /= view_spacing_m * view_spacing_m
     return weights
 

@@ -156,10 +156,9 @@ class LinkedGraph(RobotOnGraph):
         row = self.link_table.row(source, target)
         if row is None:
             self.link_table.append(link)
-            if not is_leaf:
-                self.optimiser.links_changed()
         else:
             self.link_table.average(row, link)
+        if row is not None or not is_leaf:
             self.optimiser.links_changed()
         if behaviour:
             count_other_transitions(self.link_table, source, target, behaviour)

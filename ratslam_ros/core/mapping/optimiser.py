@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import ExperienceMapParameters
-from ratslam_ros.core.mapping.link_weights import HEADING_STD, link_weights, reweigh
+from ratslam_ros.core.mapping.link_weights import HEADING_RAD_PER_SPACING, link_weights, reweigh
 from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.odometry_noise import OdometryNoise
 from ratslam_ros.core.mapping.relaxation import batch, relax, sweep
@@ -27,16 +27,17 @@ MAX_CHANGE = 0.01
 converged."""
 
 LEAST_GAIN = 0.1
-"""Squared standard deviations: a map whose cost falls by less has converged."""
+"""Decrease of the cost of the map (chi-square) by one step, below which the map has converged."""
 
-MAX_STEPS, LARGE_SHARE = 5, 0.9
-"""Steps towards the most likely poses are repeated at once, up to the number, if one leaves less
-than the share of the cost: residuals of recognitions are judged only once loops are closed."""
+MAX_STEPS, MOST_LEFT = 5, 0.9
+"""Number of Gauss-Newton steps that one relaxation may take, and the share of the cost that a step
+must leave for it to be the last one. Before loops are closed, residuals do not show which
+recognitions are false."""
 
 EQUAL_WEIGHTS = (1e3, 1e9)
-"""Weights of all links if the view spacing is unknown: those of headings are so large that
-positions have no influence on them. The result is the fixed point of equation (7) of Milford et
-al. (2006)."""
+"""Weights of the position, in 1/m^2, and of the heading, in 1/rad^2, of each link if the view
+spacing is unknown. The second is so large that positions do not affect the headings, as at the
+fixed point of equation (7) of Milford et al. (2006)."""
 
 FALSE_SHARE = 0.01
 """Share of its full weight below which a recognition is false."""
@@ -78,12 +79,12 @@ class PoseGraphOptimiser(Saved):
         return self._p.exp_loops > 0 and self._p.exp_correction > 0.0
 
     def weights(self, links: Links) -> NDArray[np.float64]:
-        """Return the weights of links, see ``link_weights``, or those of equation (7)."""
+        """Return the (links, 2) weights of links; see ``link_weights`` and ``EQUAL_WEIGHTS``."""
         if self.view_spacing_m == 0.0:
             return np.tile(EQUAL_WEIGHTS, (len(links), 1))
         return link_weights(
             links.shapes, links.recognised, links.shares, self.view_spacing_m, self.noise.std,
-            HEADING_STD,
+            HEADING_RAD_PER_SPACING,
         )
 
     def links_changed(self) -> None:
@@ -119,16 +120,16 @@ class PoseGraphOptimiser(Saved):
         them. Arguments as for ``step``.
         """
         recognised, shares = links.recognised, links.shares
-        weights, before = self.weights(links), shares.copy()
+        weights, old_shares = self.weights(links), shares.copy()
         for _ in range(MAX_STEPS):
-            self._work, worse, cost = relax(poses, links.ends, links.shapes, weights)
-            if cost >= LARGE_SHARE * worse:
+            self._work, before, after = relax(poses, links.ends, links.shapes, weights)
+            if after >= MOST_LEFT * before:
                 break
         change = reweigh(
             poses, links.ends, links.shapes, recognised, shares, self.view_spacing_m
         )
-        self.is_settled = worse - cost < LEAST_GAIN and change < MAX_CHANGE
-        false = np.flatnonzero(recognised & (np.maximum(before, shares) < FALSE_SHARE))
+        self.is_settled = before - after < LEAST_GAIN and change < MAX_CHANGE
+        false = np.flatnonzero(recognised & (np.maximum(old_shares, shares) < FALSE_SHARE))
         if len(false) > 0:
             links.delete(false.tolist())
 

@@ -155,7 +155,6 @@ class JointMap:
             return
         optimiser.view_spacing_m, optimiser.noise = self.view_spacing_m, self.noise
         for _ in range(MAX_ITERATIONS):
-            optimiser.links_changed()
             optimiser.settle(poses, links)
             if optimiser.is_settled:
                 break
