@@ -33,7 +33,7 @@ PRESENT = {
     'experience_map/joining/next', 'experience_map/core/current',
     'experience_map/core/offset', 'experience_map/core/duration_s', 'experience_map/core/way_m',
     'experience_map/core/odometer_m', 'experience_map/core/recognised_at_m',
-    'experience_map/core/odometry_noise/place', 'experience_map/core/odometry_noise/motion',
+    'experience_map/core/odometry_noise/trail', 'experience_map/core/odometry_noise/motion',
     'experience_map/core/odometry_noise/driven_m', 'experience_map/core/odometry_noise/present',
     'experience_map/core/jumps', 'experience_map/core/present',
     'experience_map/core/components/current', 'experience_map/core/components/gaps',

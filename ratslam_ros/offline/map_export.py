@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import TIMED_OUT
-from ratslam_ros.core.mapping.link_weights import HEADING_RAD_PER_SPACING, link_weights
+from ratslam_ros.core.mapping.link_weights import link_weights
 from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.navigation.server_graph import MAX_IDS, server_graph
@@ -318,7 +318,7 @@ def information(experience_map: ExperienceMap) -> NDArray[np.float64]:
         spacing_m = float(np.median(driven_m)) if len(driven_m) else 1.0
     result = link_weights(
         links.shapes, links.recognised, links.shares, spacing_m,
-        experience_map.optimiser.noise.std, HEADING_RAD_PER_SPACING,
+        experience_map.optimiser.noise.std, experience_map.optimiser.noise.std_rad,
     )
     assert math.isfinite(float(result.sum()))
     return result

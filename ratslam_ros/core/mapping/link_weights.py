@@ -27,12 +27,8 @@ Reals = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-LEAST_ODOMETRY_STD = 0.02
-"""Standard deviation of a link of length zero, in view spacings."""
-
-HEADING_RAD_PER_SPACING = 0.5
-"""Standard deviation of the heading of an odometry link in rad, divided by that of its position in
-view spacings."""
+LEAST_ODOMETRY_STD, LEAST_ODOMETRY_STD_RAD = 0.02, 0.01
+"""Standard deviations of a link of length zero: position in view spacings, and heading."""
 
 VIEW_STD, VIEW_STD_RAD = 0.25, 0.15
 """Standard deviation of a recognition: position in view spacings, and heading."""
@@ -77,7 +73,7 @@ def geman_mcclure(squared: float) -> float:
 @compiled
 def link_weights(
     shapes: Reals, recognised: Flags, shares: Reals, view_spacing_m: float, odometry_std: float,
-    rad_per_spacing: float,
+    odometry_std_rad: float,
 ) -> Reals:
     """Return the weights of all links, (links, 2): position in 1/m^2, heading in 1/rad^2.
 
@@ -86,9 +82,8 @@ def link_weights(
         recognised: (links,) whether a link is a recognition; the others are odometry.
         shares: (links,) share of its full weight that each recognition has.
         view_spacing_m: view spacing.
-        odometry_std: standard deviation of the position after one view spacing of odometry, in
-            view spacings.
-        rad_per_spacing: ``HEADING_RAD_PER_SPACING``, which cached machine code must not contain.
+        odometry_std, odometry_std_rad: standard deviations of position, in view spacings, and
+            heading after one view spacing of odometry.
     """
     weights = np.empty((shapes.shape[0], 2))
     for link in range(shapes.shape[0]):
@@ -99,9 +94,9 @@ def link_weights(
         else:
             spacings = shapes[link, 0] / view_spacing_m
             variance = odometry_std * odometry_std * spacings
-            variance += LEAST_ODOMETRY_STD * LEAST_ODOMETRY_STD
-            weights[link, 0] = 1.0 / variance
-            weights[link, 1] = 1.0 / (rad_per_spacing * rad_per_spacing * variance)
+            weights[link, 0] = 1.0 / (variance + LEAST_ODOMETRY_STD * LEAST_ODOMETRY_STD)
+            variance = odometry_std_rad * odometry_std_rad * spacings
+            weights[link, 1] = 1.0 / (variance + LEAST_ODOMETRY_STD_RAD * LEAST_ODOMETRY_STD_RAD)
         weights[link, 0] /= view_spacing_m * view_spacing_m
     return weights
 

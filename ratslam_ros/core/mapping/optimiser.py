@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import ExperienceMapParameters
-from ratslam_ros.core.mapping.link_weights import HEADING_RAD_PER_SPACING, link_weights, reweigh
+from ratslam_ros.core.mapping.link_weights import link_weights, reweigh
 from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.odometry_noise import OdometryNoise
 from ratslam_ros.core.mapping.relaxation import batch, relax, sweep
@@ -84,7 +84,7 @@ class PoseGraphOptimiser(Saved):
             return np.tile(EQUAL_WEIGHTS, (len(links), 1))
         return link_weights(
             links.shapes, links.recognised, links.shares, self.view_spacing_m, self.noise.std,
-            HEADING_RAD_PER_SPACING,
+            self.noise.std_rad,
         )
 
     def links_changed(self) -> None:

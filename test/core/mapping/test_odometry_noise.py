@@ -10,41 +10,64 @@ import numpy as np
 import pytest
 from helpers import ahead
 
+from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.odometry_noise import PRIOR_STD, OdometryNoise
+from ratslam_ros.core.mapping.odometry_noise import PRIOR_STD, PRIOR_STD_RAD, OdometryNoise
 
-LEG_M, SPACING_M = 6.0, 2.0
+LEG_M, SPACING_M = 2.0, 2.0
 
 
-def driven(std: float, false: int = 0, legs: int = 400) -> OdometryNoise:
-    """Drive straight legs between places; map and odometry both have errors.
+def driven(
+    std: float, std_rad: float = 0.0, view_std: float = 0.0, bias_rad: float = 0.0,
+    false: int = 0, legs: int = 2000,
+) -> OdometryNoise:
+    """Drive straight legs between places of an exact map, with noise of one drive in two.
 
     Args:
-        std: of the position after one view spacing, in view spacings.
+        std, std_rad: of odometry after one view spacing: position in view spacings, and heading.
+        view_std: of the position of a recognition, in view spacings.
+        bias_rad: error of the heading of each leg.
         false: every such leg ends with a recognition of a place far away; 0: none.
         legs: number of legs.
     """
     noise, random = OdometryNoise(), np.random.default_rng(1)
-    std_m = std * SPACING_M * math.sqrt(LEG_M / SPACING_M)
-    x_m = y_m = 0.0
-    noise.recognise(Pose(0.0, 0.0, 0.0), 0.0, SPACING_M)
+    here = Pose(0.0, 0.0, 0.0)
     for leg in range(1, legs):
-        mapped, measured = random.normal(0.0, std_m, (2, 2))
-        noise.integrate(ahead(LEG_M))
-        x_m += LEG_M + mapped[0] - measured[0]
-        y_m += mapped[1] - measured[1]
+        # The differences are those of two drives, so that one has twice the variance here.
+        along, sideways = random.normal(0.0, math.sqrt(2.0) * std * SPACING_M, 2)
+        turn_rad = random.normal(bias_rad, math.sqrt(2.0) * std_rad)
+        noise.integrate(Motion(0.1, 0.0, math.pi / 2.0))
+        noise.integrate(ahead(sideways))
+        noise.integrate(Motion(0.1, 0.0, -math.pi / 2.0))
+        noise.integrate(Motion(0.1, LEG_M + along, turn_rad))
+        here = moved(here, Motion(0.1, LEG_M, 0.0))
+        x_m, y_m = random.normal(0.0, math.sqrt(2.0) * view_std * SPACING_M, 2)
         apart_m = 50.0 if false and leg % false == 0 else 0.0
-        noise.recognise(Pose(x_m, y_m + apart_m, 0.0), 0.0, SPACING_M)
+        place = Pose(here.x_m + x_m, here.y_m + y_m + apart_m, here.heading_rad)
+        noise.recognise(place, 0.0, SPACING_M)
     return noise
 
 
-@pytest.mark.parametrize('std', [0.05, 0.6])
+@pytest.mark.parametrize('std', [0.05, 0.4])
 def test_std_is_that_of_one_drive(std: float) -> None:
-    assert driven(std).std == pytest.approx(std, rel=0.15)
+    assert driven(std).std == pytest.approx(std, rel=0.3)
+
+
+def test_errors_of_recognitions_do_not_count() -> None:
+    noise = driven(0.1, 0.03, view_std=0.3)
+    assert noise.std == pytest.approx(0.1, rel=0.4)
+    assert noise.std_rad == pytest.approx(0.03, rel=0.2)
+
+
+def test_heading_covers_the_longest_drift() -> None:
+    """A bias of 0.02 rad for each spacing is 1.3 rad after 64 of them."""
+    assert driven(0.05, 0.01, bias_rad=0.02).std_rad > 0.1
 
 
 def test_false_recognitions_hardly_change_std() -> None:
-    assert driven(0.1, false=10).std == pytest.approx(0.1, rel=0.3)
+    noise = driven(0.1, 0.03, false=10)
+    assert noise.std == pytest.approx(0.1, rel=0.4)
+    assert noise.std_rad == pytest.approx(0.03, rel=0.2)
 
 
 def test_covariances_are_definite_if_odometry_is_exact() -> None:
@@ -52,8 +75,9 @@ def test_covariances_are_definite_if_odometry_is_exact() -> None:
     assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
-def test_first_measurements_count_less_than_prior() -> None:
-    assert driven(0.0, legs=8).std == pytest.approx(PRIOR_STD)
+def test_few_differences_measure_nothing() -> None:
+    noise = driven(0.0, legs=8)
+    assert (noise.std, noise.std_rad) == (PRIOR_STD, PRIOR_STD_RAD)
 
 
 def test_unknown_motion_is_not_measured() -> None:
@@ -62,13 +86,14 @@ def test_unknown_motion_is_not_measured() -> None:
         noise.restart()
         noise.integrate(ahead(LEG_M))
         noise.recognise(Pose(50.0 * x_m, 0.0, 0.0), 0.0, SPACING_M)
-    assert noise.std == pytest.approx(PRIOR_STD)
+    assert (noise.std, noise.std_rad) == (PRIOR_STD, PRIOR_STD_RAD)
 
 
 def test_restored_noise_continues_alike() -> None:
-    noise, other = driven(0.3), OdometryNoise()
+    noise, other = driven(0.3, legs=200), OdometryNoise()
     other.restore(noise.state())
     for one in (noise, other):
         one.integrate(ahead(LEG_M))
         one.recognise(Pose(0.0, 0.0, 0.0), 0.2, SPACING_M)
     assert other.state() == noise.state()
+    assert (other.std, other.std_rad) == (noise.std, noise.std_rad)
