@@ -24,7 +24,7 @@ from ratslam_ros.core.config import SHARED, Value
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps import Cut
 from ratslam_ros.maps.cut_grid import index_of
-from ratslam_ros.maps.live_pipeline import LivePipeline, Process, live_pipeline
+from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.messages.commands import CommandPayload, PassedItem, stream_topic
 from ratslam_ros.pipeline.codec import command_state
 from ratslam_ros.pipeline.commands import (
@@ -100,7 +100,7 @@ class Host(Process):
             self._passed = last.create_payload_publisher(
                 PassedItem, history(MAX_KEPT), stream_topic(last.SECTION)
             )
-        self.live = self.map.live = live_pipeline(
+        self.live = self.map.live = LivePipeline(
             stages, config, self, chain, time.time_ns(), self._stopwatch, self._streams
         )
         pipeline = self.pipeline
