@@ -73,7 +73,7 @@ class ExperienceMapNode(RatslamNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish what the map answers, and what it changes."""
-        self._sender = MapSender(self)
+        self._sender = MapSender(self, self._stage)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
         self._pose_out = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
         self._covariance_out = self.create_publisher(
@@ -81,7 +81,7 @@ class ExperienceMapNode(RatslamNode):
         )
         self._corrections = self.create_payload_publisher(Correction, RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
-        self._changes = MapChangePublisher(self)
+        self._changes = MapChangePublisher(self, self._stage)
         self.frames = OdometryFrames(
             self.diagnostics.note, self.section.odom_frame, self.section.base_frame
         )
@@ -104,7 +104,7 @@ class ExperienceMapNode(RatslamNode):
             warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
             if self.section.exp_relocate != 'views':
                 warm_up('relocation')  # takes long if nothing is cached, so only if it is used
-            self._grid = GridPublisher(self)
+            self._grid = GridPublisher(self, self._stage)
         pipeline.observe(COMMAND, self._obey)
         pipeline.observe('odometry', self._before_odometry)
         pipeline.observe('pose', self._moved)
@@ -157,7 +157,7 @@ class ExperienceMapNode(RatslamNode):
         """Process the messages that are still held, and publish the last map."""
         super().close()
         self._coordinator.close()
-        self._sender.finish(self._core, self._stage.action_ns)
+        self._sender.finish()
         if self._grid is not None:
             self._grid.close()
         if self._viewers > 0:
@@ -336,18 +336,12 @@ class ExperienceMapNode(RatslamNode):
 
         One of them in each call, so that none of the messages that follow has to wait for all.
         """
-        if self._changes.update(self._core, self._stage.action_ns):
-            return
-        scans = self._stage.scans
-        if self._grid is not None and scans is not None and self._grid.advance(
-            self._core, scans, self._stage.action_ns
-        ):
+        if self._changes.update() or (self._grid is not None and self._grid.advance()):
             return
         if self._markers_due:
             self._send_markers()
             return
-        period_s = self.section.map_period_s
-        if self._sender.advance(self._core, self._stage.action_ns, period_s):
+        if self._sender.advance(self.section.map_period_s):
             self._markers_due = self._viewers > 0
 
     def _send_markers(self) -> None:
