@@ -190,13 +190,12 @@ class Host(Process):
         """Subscribe to the stream that is followed, if one is."""
         if self._stream is not None:
             self._stream.subscribe_again()
-        if self._stream is not None or not self.chain.follows:
-            return
-        node, topic = self.nodes[0], stream_topic(self.chain.follows)
-        self._sender = SingleSender(node, topic)
-        receive = decoded(PassedItem, self._on_passed, node.diagnostics.refuse, 'stream')
-        self._stream = Input(node, 'stream', {topic: String}, receive, HISTORY_INPUT)
-        node.inputs.append(self._stream)
+        elif self.chain.follows:
+            node, topic = self.nodes[0], stream_topic(self.chain.follows)
+            self._sender = SingleSender(node, topic)
+            receive = decoded(PassedItem, self._on_passed, node.diagnostics.refuse, 'stream')
+            self._stream = Input(node, 'stream', {topic: String}, receive, HISTORY_INPUT)
+            node.inputs.append(self._stream)
 
     def _on_passed(self, passed: PassedItem) -> None:
         with self.ready() as live:
