@@ -346,9 +346,7 @@ class ExperienceMapNode(RatslamNode):
 
     def _send_markers(self) -> None:
         self._markers_due = False
-        self._markers.publish(
-            serialised_markers(self._core, self._stage.action_ns, self.section.map_frame)
-        )
+        self._markers.publish(serialised_markers(self._core, self._stage.action_ns))
 
     def _diagnostic_values(self) -> dict[str, Any]:
         localisation, reason = self._core.localisation, self._core.covariance.reason
