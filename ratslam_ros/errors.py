@@ -14,6 +14,8 @@ A fault of the program gives 1, as no answer does.
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Numbers of the errors of the operating system that a full disk causes."""
 
+OWN_PACKAGES = 'ratslam_ros', 'ratslam_simulator', 'ratslam_tuning', 'rclpy_standin'
+
 PIP_NAMES = {'cv2': 'opencv-python-headless', 'yaml': 'pyyaml'}
 """Name of a package for pip by its module, where they differ."""
 
@@ -42,8 +44,11 @@ class NoAnswer(Exception):  # noqa: N818 - not an error: nothing arrived in time
     """No message or response arrived in time; the text names the topic or service."""
 
 
-def missing_package(module: str) -> UnusableInput:
-    """Return the error that a module of another package is not installed."""
+def missing_package(error: ModuleNotFoundError) -> UnusableInput:
+    """Return the error that a package is not installed; raise that of a module of our own."""
+    module = (error.name or '').partition('.')[0]
+    if module in ('', *OWN_PACKAGES):
+        raise error
     package = PIP_NAMES.get(module, module)
     return UnusableInput(
         f'ratslam_ros needs {package}, which this Python ({sys.executable}) does not have: build '

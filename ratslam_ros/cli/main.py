@@ -33,8 +33,6 @@ from ratslam_ros.errors import (
     missing_package,
 )
 
-OWN_PACKAGES = 'ratslam_ros', 'ratslam_simulator', 'ratslam_tuning', 'rclpy_standin'
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return its exit code.
@@ -54,10 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_notice(f'ratslam: {reason}')
         return NO_ANSWER
     except ModuleNotFoundError as error:
-        module = (error.name or '').partition('.')[0]
-        if module in ('', *OWN_PACKAGES):
-            raise
-        print_notice(f'ratslam: {missing_package(module)}')
+        print_notice(f'ratslam: {missing_package(error)}')
         return UNUSABLE
     except (KeyboardInterrupt, SystemError) as error:
         # Compiled code makes a SystemError of an interrupt.

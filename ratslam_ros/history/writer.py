@@ -8,7 +8,7 @@ import os
 import sqlite3
 import time
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -269,10 +269,7 @@ class HistoryWriter:
         if database is not None:
             database.close()
         if self._lock is not None:
-            with suppress(OSError, UnusableInput), self._lock.opening():
-                if not self._lock.others():
-                    self._lock.remove()
-            self._lock.close()
+            self._lock.end()
             self._lock = None
         self._records.clear()
 

@@ -10,7 +10,7 @@ import sys
 from functools import partial
 from importlib.util import find_spec
 
-from ratslam_ros.errors import UNUSABLE, UnusableInput
+from ratslam_ros.errors import UNUSABLE, UnusableInput, missing_package
 from ratslam_ros.live.run import NODES, run
 
 
@@ -24,10 +24,11 @@ def _main(node: str) -> int:
                 f'"ratslam run {node}", which runs without ROS'
             )
         return run(node, None)
-    except UnusableInput as error:
-        print(f'{node}: {error}', file=sys.stderr)
+    except (UnusableInput, ModuleNotFoundError) as error:
+        reason = error if isinstance(error, UnusableInput) else missing_package(error)
+        print(f'{node}: {reason}', file=sys.stderr)
         return UNUSABLE
 
 
-# setup.cfg names one function of this module for each node.
+# setup.py names one function of this module for each node.
 globals().update({node: partial(_main, node) for node in NODES})

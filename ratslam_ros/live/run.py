@@ -10,7 +10,7 @@ from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 
-from ratslam_ros.errors import UnusableInput, missing_package
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live import ros
 from ratslam_ros.quick_start import quick_start
 from ratslam_ros.signals import StopAtOnce
@@ -31,18 +31,8 @@ NODES = {
 }
 """Class of each node, or the function that runs it, in ratslam_ros.ros or elsewhere."""
 
-MODULES = 'numpy', 'numba', 'llvmlite', 'msgspec'
-"""Modules of other packages that every node imports."""
-
-IMAGE_MODULES = ('cv2',)
-"""Further ones that the nodes with images import."""
-
 VIEWER_PACKAGES = {'viser': 'viser>=1.1,<1.2', 'zstandard': 'zstandard>=0.22'}
-"""Further packages that the viewer imports: name for pip by module."""
-
-IMAGE_NODES = frozenset(
-    {'visual_odometry', 'local_view', 'simulator', 'single_process', 'viewer'}
-)
+"""Packages that only the viewer imports: name for pip by module."""
 
 
 def run(node: str, arguments: Sequence[str] | None = ()) -> int:
@@ -56,12 +46,13 @@ def run(node: str, arguments: Sequence[str] | None = ()) -> int:
         The exit code of the node.
 
     Raises:
-        UnusableInput: there is no such node, or a required package is not installed.
+        UnusableInput: there is no such node, or a package of the viewer is not installed.
     """
     if node not in NODES:
         raise UnusableInput(f'there is no node {node!r}: expected one of {", ".join(NODES)}')
     with quick_start(), announced(node), StopAtOnce():
-        require_packages(node)
+        if node == 'viewer':
+            _check_viewer()
         ros.require()
         return load(node)(args=None if arguments is None else list(arguments))
 
@@ -75,19 +66,11 @@ def load(node: str) -> Callable[..., int]:
     return partial(import_module('ratslam_ros.ros.run').run, found)
 
 
-def require_packages(node: str) -> None:
-    """Check, without importing them, that the packages of a node are installed.
-
-    Raises:
-        UnusableInput: a package is missing.
-    """
-    if node == 'viewer':
-        for module, package in VIEWER_PACKAGES.items():
-            if find_spec(module) is None:
-                raise UnusableInput(
-                    f'the live view needs {module}, which this Python ({sys.executable}) does not '
-                    f"have: python3 -m pip install '{package}'"
-                )
-    for module in (*MODULES, *(IMAGE_MODULES if node in IMAGE_NODES else ())):
+def _check_viewer() -> None:
+    """Check, without importing them, that the packages of the viewer are installed."""
+    for module, package in VIEWER_PACKAGES.items():
         if find_spec(module) is None:
-            raise missing_package(module)
+            raise UnusableInput(
+                f'the live view needs {module}, which this Python ({sys.executable}) does not '
+                f"have: python3 -m pip install '{package}'"
+            )

@@ -322,10 +322,8 @@ class FileWriter:
         """End after a failed opening."""
         self._disconnect()
         if self._lock is not None:
-            with suppress(OSError, UnusableInput), self._lock.opening():
-                if not self._lock.others():
-                    self._lock.remove()
-        self.release()
+            self._lock.end()
+            self._lock = None
 
     def release(self) -> None:
         """Close the file and release the locks, as if the process had ended."""

@@ -162,7 +162,7 @@ class LogKeeper:
         Raises:
             UnusableInput: it cannot be created.
         """
-        self._map_file, self._parts = map_file, parts
+        self._map_file = map_file
         self.folder = kept_folder(map_file, parts[0])
         self._loads = 0
         try:

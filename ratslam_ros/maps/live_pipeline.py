@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ratslam_ros.chain import Chain
+from ratslam_ros.chain import ALONE, Chain
 from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config, Value
@@ -126,18 +126,32 @@ class LivePipeline:
     """A pipeline, the settings and parameters in effect, and the session that it continues."""
 
     def __init__(
-        self, pipeline: Pipeline, config: Config, process: Process, run: int = 0
+        self, stages: Sequence[Stage], config: Config, process: Process, chain: Chain = ALONE,
+        run: int = 0, stopwatch: Stopwatch | None = None, streams: Sequence[Stream] = STREAMS,
     ) -> None:
         """Start with an empty memory.
 
+        In a process that is followed, all is passed on that another one may need behind the last
+        stage.
+
         Args:
-            pipeline: the pipeline; its stages are the parts of the map.
-            config: the parameters of its stages.
-            process: what surrounds it.
+            stages: those of the process, which are the parts of the map.
+            config: the parameters of the stages.
+            process: what surrounds the pipeline.
+            chain: the place of the process in a split.
             run: a new number for the run of the stream that is passed on, see ``PassedItem``.
+            stopwatch: see ``Pipeline``.
+            streams: those that may occur.
         """
-        self.pipeline, self.config, self._process = pipeline, config, process
-        self.run, self._is_new_run, self._number = run, True, 0
+        passing = None
+        if chain.is_followed:
+            lasers = range(MAX_LASERS if chain.follows else len(chain.scans))
+            passed = 'odometry', *map(scan_stream, lasers), *stages[-1].WRITES
+            passing = Passing(passed, self._pass_on)
+        kind = Follower if chain.follows else Pipeline
+        self.pipeline = pipeline = kind(stages, lateness_ns(config), stopwatch, streams, passing)
+        self.config, self._process = config, process
+        self.run, self._is_new_run, self._number = run if chain.is_followed else 0, True, 0
         """Run of the stream that is passed on, 0: none is; whether it is new; and last number."""
         self.followed = 0, 0
         """Run and number of the last item of the followed stream."""
@@ -224,7 +238,7 @@ class LivePipeline:
                 self.pipeline.notify('relocation', stamp_ns, answer)
             self._process.taken(stream, stamp_ns, self.pipeline.limit_waiting())
 
-    def pass_on(self, stream: str, stamp_ns: int, item: object) -> None:
+    def _pass_on(self, stream: str, stamp_ns: int, item: object) -> None:
         """Number an item that the stages have processed, for a follower.
 
         Of commands, a follower obeys those that follow from the order of the inputs.
@@ -451,36 +465,6 @@ class LivePipeline:
             if self.answers_all:
                 self.answers.extend(state.get('answers', ()))
         self._process.restored(part)
-
-
-def live_pipeline(
-    stages: Sequence[Stage], config: Config, process: Process, chain: Chain, run: int,
-    stopwatch: Stopwatch | None = None, streams: Sequence[Stream] = STREAMS,
-) -> LivePipeline:
-    """Return the pipeline of a process at its place in a split, with an empty memory.
-
-    If it is followed, all is passed on that another process may need behind the last stage.
-
-    Args:
-        stages: those of the process.
-        config: the parameters of the stages.
-        process: what surrounds the pipeline.
-        chain: the place.
-        run: a new number for the run of the stream that is passed on.
-        stopwatch: see ``Pipeline``.
-        streams: those that may occur.
-    """
-    passing = None
-    if chain.is_followed:
-        lasers = range(MAX_LASERS if chain.follows else len(chain.scans))
-        passing = Passing(
-            ('odometry', *map(scan_stream, lasers), *stages[-1].WRITES),
-            lambda *one: live.pass_on(*one),
-        )
-    kind = Follower if chain.follows else Pipeline
-    pipeline = kind(stages, lateness_ns(config), stopwatch, streams, passing)
-    live = LivePipeline(pipeline, config, process, run if chain.is_followed else 0)
-    return live
 
 
 def _cut_of(passed: PassedItem) -> Cut:

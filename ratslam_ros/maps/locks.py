@@ -117,11 +117,16 @@ class MapLock:
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
 
+    def end(self) -> None:
+        """Release all locks; remove the file if no other writer has a part."""
+        with suppress(OSError, UnusableInput), self.opening():
+            if not self.others():
+                self.remove()
+        self.close()
+
     def close(self) -> None:
         """Release all locks."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        os.close(self._file)
 
     def _take_current(self) -> bool:
         """Try to lock byte 0 of the file that has the name now."""

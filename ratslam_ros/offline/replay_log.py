@@ -16,7 +16,7 @@ from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.maps import Cut, live_meta, read_map, save_map
 from ratslam_ros.maps.input_log import END, VERSION
 from ratslam_ros.maps.kept_log import Beginning, KeptRun, kept_runs
-from ratslam_ros.maps.live_pipeline import Process, live_pipeline
+from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.pipeline.codec import command_from_state
 from ratslam_ros.pipeline.items import OdometryStep
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES, Reporter
@@ -48,7 +48,7 @@ class LogReplay(Process):
         _check(run, beginning)
         config, _ = stored_config(beginning.configuration, str(run.folder))
         stages = [LIVE_STAGES[part](config, Reporter()) for part in beginning.parts]
-        self.live = live_pipeline(stages, config, self, beginning.chain, NEW_RUN)
+        self.live = LivePipeline(stages, config, self, beginning.chain, NEW_RUN)
         self.pipeline, self.has_ended = self.live.pipeline, False
         for setting in beginning.settings:
             self.live.command(command_from_state(setting))

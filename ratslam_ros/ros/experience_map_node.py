@@ -18,16 +18,24 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.errors import UnreachableGoal, UnusableParameter
+from ratslam_ros.errors import UnreachableGoal, UnusableInput, UnusableParameter
 from ratslam_ros.messages.goals import BehaviourReport
 from ratslam_ros.messages.mapping import Correction, RelocationPayload
-from ratslam_ros.pipeline.commands import Command, Hint, ReportBehaviour, SearchPlace
+from ratslam_ros.pipeline.commands import NOW, Command, Hint, ReportBehaviour, SearchPlace
 from ratslam_ros.pipeline.items import Answer, MapStep, OdometryStep
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
-from ratslam_ros.ros.convert import covariance_of, header_of, pose_message, transform
+from ratslam_ros.ros.convert import (
+    covariance_of,
+    header_of,
+    planar_pose,
+    pose_message,
+    stamp_ns,
+    transform,
+)
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
 from ratslam_ros.ros.mapping.map_changes import MapChangePublisher
@@ -35,16 +43,19 @@ from ratslam_ros.ros.mapping.map_operations import MapCoordinator
 from ratslam_ros.ros.mapping.map_sender import MapSender
 from ratslam_ros.ros.mapping.markers import serialised_markers
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
-from ratslam_ros.ros.mapping.pose_hints import PoseHints
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
 from ratslam_ros.ros.node import LASERS, RatslamNode
-from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, history
+from ratslam_ros.ros.payloads import refusing
+from ratslam_ros.ros.qos import GOAL, LATCHED, RESULT, STATE, history
 
 MAX_AHEAD = 200
 """Odometry messages by which the published pose may be ahead of the followed stream."""
 
 MAX_ANSWERS = 10
 """Answers that are kept for pose_cells that are restarted: more than those that it waits for."""
+
+HINT_AHEAD_NS = 2_000_000_000
+"""A pose with a stamp this far ahead of the inputs is of another clock, and holds from now on."""
 
 LEAST_CORRECTION_M = LEAST_CORRECTION_RAD = 1e-3
 """Smaller changes of the pose are not reported: they are part of the next pose."""
@@ -62,7 +73,7 @@ class ExperienceMapNode(RatslamNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish what the map answers, and what it changes."""
-        self._sender = MapSender(self)
+        self._sender = MapSender(self, self._stage)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
         self._pose_out = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
         self._covariance_out = self.create_publisher(
@@ -70,7 +81,7 @@ class ExperienceMapNode(RatslamNode):
         )
         self._corrections = self.create_payload_publisher(Correction, RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
-        self._changes = MapChangePublisher(self)
+        self._changes = MapChangePublisher(self, self._stage)
         self.frames = OdometryFrames(
             self.diagnostics.note, self.section.odom_frame, self.section.base_frame
         )
@@ -79,7 +90,8 @@ class ExperienceMapNode(RatslamNode):
         self.create_payload_subscription(
             BehaviourReport, self._on_behaviour, RESULT, 'behaviour'
         )
-        self._hints = PoseHints(self)
+        receive = refusing(self._on_hint, self._refuse, 'initialpose')
+        self.create_subscription(PoseWithCovarianceStamped, 'initialpose', receive, GOAL)
         self.offer('experience_map/relocate', self._on_relocate, is_logged=True)
         self._coordinator = MapCoordinator(self.operations)
         self._viewers = self._pose_ns = 0
@@ -92,7 +104,7 @@ class ExperienceMapNode(RatslamNode):
             warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
             if self.section.exp_relocate != 'views':
                 warm_up('relocation')  # takes long if nothing is cached, so only if it is used
-            self._grid = GridPublisher(self)
+            self._grid = GridPublisher(self, self._stage)
         pipeline.observe(COMMAND, self._obey)
         pipeline.observe('odometry', self._before_odometry)
         pipeline.observe('pose', self._moved)
@@ -145,7 +157,7 @@ class ExperienceMapNode(RatslamNode):
         """Process the messages that are still held, and publish the last map."""
         super().close()
         self._coordinator.close()
-        self._sender.finish(self._core, self._stage.action_ns)
+        self._sender.finish()
         if self._grid is not None:
             self._grid.close()
         if self._viewers > 0:
@@ -161,6 +173,17 @@ class ExperienceMapNode(RatslamNode):
             self.host.command(
                 ReportBehaviour(since_ns, report.behaviour, failed, report.ahead_rad), since_ns
             )
+
+    def _on_hint(self, message: PoseWithCovarianceStamped) -> None:
+        """Take the pose that an operator gives."""
+        frame, expected = message.header.frame_id.lstrip('/'), self.section.map_frame
+        if frame not in ('', expected):
+            raise UnusableInput(f'its frame is {frame!r:.100}; expected {expected}')
+        xx, xy, yy, yaw = (float(message.pose.covariance[at]) for at in (0, 1, 7, 35))
+        hint = PoseHint(planar_pose(message.pose.pose), xx, xy, yy, yaw).checked()
+        given_ns, newest_ns = stamp_ns(message.header), self.host.pipeline.order.newest_ns
+        is_other_clock = given_ns > (newest_ns or 0) + HINT_AHEAD_NS
+        self.host.command(Hint(hint), NOW if is_other_clock else given_ns)
 
     def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
         if stream != 'odometry' or not self.host.chain.follows:
@@ -184,12 +207,22 @@ class ExperienceMapNode(RatslamNode):
     def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:
             case Hint():
-                self._hints.report(stamp_ns, command.hint, self._core)
+                self._report_hint(stamp_ns, command.hint)
                 self._report_correction()
             case ReportBehaviour() if self._stage.unlearned > self._unlearned:
                 count = self._stage.unlearned - self._unlearned
                 self._unlearned, self._sender.has_changed = self._stage.unlearned, True
                 self.get_logger().info(f'{count} links were unlearned: {command.name} was blocked')
+
+    def _report_hint(self, stamp_ns: int, hint: PoseHint) -> None:
+        """Log what a given pose means for the map, which has got it."""
+        adopted = self._core.hint
+        effect = (
+            'the robot is there until recognised places confirm or refute it'
+            if adopted is not None and adopted.hint == hint
+            else 'it has no effect: the map is empty, or the pose on it agrees already'
+        )
+        self.get_logger().info(f'a pose was given at {stamp_ns * 1e-9:.3f} s; {effect}')
 
     def _before_odometry(self, stamp_ns: int, odometry: Odometry) -> None:
         self._odometry = odometry
@@ -303,25 +336,17 @@ class ExperienceMapNode(RatslamNode):
 
         One of them in each call, so that none of the messages that follow has to wait for all.
         """
-        if self._changes.update(self._core, self._stage.action_ns):
-            return
-        scans = self._stage.scans
-        if self._grid is not None and scans is not None and self._grid.advance(
-            self._core, scans, self._stage.action_ns
-        ):
+        if self._changes.update() or (self._grid is not None and self._grid.advance()):
             return
         if self._markers_due:
             self._send_markers()
             return
-        period_s = self.section.map_period_s
-        if self._sender.advance(self._core, self._stage.action_ns, period_s):
+        if self._sender.advance(self.section.map_period_s):
             self._markers_due = self._viewers > 0
 
     def _send_markers(self) -> None:
         self._markers_due = False
-        self._markers.publish(
-            serialised_markers(self._core, self._stage.action_ns, self.section.map_frame)
-        )
+        self._markers.publish(serialised_markers(self._core, self._stage.action_ns))
 
     def _diagnostic_values(self) -> dict[str, Any]:
         localisation, reason = self._core.localisation, self._core.covariance.reason

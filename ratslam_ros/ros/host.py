@@ -24,17 +24,10 @@ from ratslam_ros.core.config import SHARED, Value
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps import Cut
 from ratslam_ros.maps.cut_grid import index_of
-from ratslam_ros.maps.live_pipeline import LivePipeline, Process, live_pipeline
+from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.messages.commands import CommandPayload, PassedItem, stream_topic
 from ratslam_ros.pipeline.codec import command_state
-from ratslam_ros.pipeline.commands import (
-    NOW,
-    Command,
-    ReportBehaviour,
-    Reset,
-    UseOdometry,
-    concerns,
-)
+from ratslam_ros.pipeline.commands import NOW, Command, ReportBehaviour, Reset, concerns
 from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.streams import STREAMS
@@ -56,15 +49,12 @@ class Host(Process):
     ``start`` creates the stages when all nodes have added themselves.
     """
 
-    def __init__(
-        self, is_answered: bool = True, decided: str = '', chain: Chain = ALONE
-    ) -> None:
+    def __init__(self, is_answered: bool = True, chain: Chain = ALONE) -> None:
         """Prepare a host without nodes.
 
         Args:
             is_answered: if the pose cells are run without the map, an experience_map in another
                 process may answer their actions; they wait for it once it has.
-            decided: what `auto` has decided about the odometry (``UseOdometry``), '' if nothing.
             chain: the place of the process in a split.
         """
         self.chain = chain
@@ -77,7 +67,6 @@ class Host(Process):
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.on_cut: list[Callable[[int | None], None]] = []
         """Called with the number of a cut that is due, or None as no further messages arrive."""
-        self._decided = decided
         self._counted, self._refused = Counts(), Counter[str]()
         self._was_silent = False
         self._awaited = 0, 0.0
@@ -100,7 +89,7 @@ class Host(Process):
             self._passed = last.create_payload_publisher(
                 PassedItem, history(MAX_KEPT), stream_topic(last.SECTION)
             )
-        self.live = self.map.live = live_pipeline(
+        self.live = self.map.live = LivePipeline(
             stages, config, self, chain, time.time_ns(), self._stopwatch, self._streams
         )
         pipeline = self.pipeline
@@ -122,8 +111,6 @@ class Host(Process):
                     '(single_process --stage)'
                 )
             self._receiver(stream).subscribe(stream)
-        if self._decided:
-            self.command(UseOdometry(self._decided))
 
     @property
     def pipeline(self) -> Pipeline:
@@ -190,13 +177,12 @@ class Host(Process):
         """Subscribe to the stream that is followed, if one is."""
         if self._stream is not None:
             self._stream.subscribe_again()
-        if self._stream is not None or not self.chain.follows:
-            return
-        node, topic = self.nodes[0], stream_topic(self.chain.follows)
-        self._sender = SingleSender(node, topic)
-        receive = decoded(PassedItem, self._on_passed, node.diagnostics.refuse, 'stream')
-        self._stream = Input(node, 'stream', {topic: String}, receive, HISTORY_INPUT)
-        node.inputs.append(self._stream)
+        elif self.chain.follows:
+            node, topic = self.nodes[0], stream_topic(self.chain.follows)
+            self._sender = SingleSender(node, topic)
+            receive = decoded(PassedItem, self._on_passed, node.diagnostics.refuse, 'stream')
+            self._stream = Input(node, 'stream', {topic: String}, receive, HISTORY_INPUT)
+            node.inputs.append(self._stream)
 
     def _on_passed(self, passed: PassedItem) -> None:
         with self.ready() as live:

@@ -20,10 +20,6 @@ from ratslam_ros.starting import starting
 RESUBSCRIBE_AFTER_S = 0.5
 """Time without a message after which a subscription may be replaced."""
 
-KNOWN_AFTER_S = 2.0
-"""Time after which the quality of service of a publisher that was found is known; on a loaded
-machine, ROS reports a mismatch before."""
-
 HOLD_S = 2.0
 """Wall-clock time without a message after which another sender takes the place of the present one.
 One that was killed remains in the graph for seconds. A node takes longer to start."""
@@ -51,8 +47,6 @@ class Input:
         self.name, self._topics, self._callback = name, topics, callback
         self._subscriptions: dict[str, Any] = {}
         self._best_effort: dict[str, bool] = {}
-        self._mismatched_s: dict[str, float] = {}
-        """Topics with a publisher of an incompatible quality of service, and since when."""
         self._used: str | None = None
         self.received = 0
         self._counted = 0
@@ -85,8 +79,6 @@ class Input:
 
     def update(self, silence_s: float) -> float:
         """Adapt to the publishers' quality of service, warn of silence, return the rate in Hz."""
-        for topic, since_s in [*self._mismatched_s.items()]:
-            self._judge_mismatch(topic, since_s)
         wanted = self._wanted_topics()
         for topic in self._topics:
             if topic not in wanted:
@@ -94,7 +86,13 @@ class Input:
                 continue
             # A subscription that receives is kept: replacing it could lose messages uncounted.
             is_silent = self.silent_s() > RESUBSCRIBE_AFTER_S
-            changed = self._is_best_effort(topic) != self._best_effort.get(topic) and is_silent
+            best_effort = self._is_best_effort(topic)
+            changed = best_effort != self._best_effort.get(topic) and is_silent
+            if changed and best_effort and topic in self._subscriptions:
+                self._node.get_logger().info(
+                    f'{self._node.resolve_topic_name(topic)} has a best-effort publisher: '
+                    'subscribing again as best effort'
+                )
             if topic not in self._subscriptions or changed:
                 self._subscribe(topic)
         now_s = time.monotonic()
@@ -192,7 +190,8 @@ class Input:
             self._topics[topic], topic, on_message,
             INPUT_BEST_EFFORT if best_effort else self._qos,
             event_callbacks=SubscriptionEventCallbacks(
-                message_lost=self._lost, incompatible_qos=lambda event: self._on_mismatch(topic)
+                # ``update`` subscribes again: of all profiles, only the reliability can differ.
+                message_lost=self._lost, incompatible_qos=lambda event: None,
             ),
         )
 
@@ -200,26 +199,6 @@ class Input:
         subscription = self._subscriptions.pop(topic, None)
         if subscription is not None:
             self._node.destroy_subscription(subscription)
-
-    def _on_mismatch(self, topic: str) -> None:
-        """Note a publisher of another quality of service, which ``update`` judges."""
-        self._mismatched_s.setdefault(topic, time.monotonic())
-
-    def _judge_mismatch(self, topic: str, since_s: float) -> None:
-        name = self._node.resolve_topic_name(topic)
-        if self._is_best_effort(topic):
-            del self._mismatched_s[topic]
-            if not self._best_effort.get(topic, False):
-                self._node.get_logger().info(
-                    f'{name} has a best-effort publisher: subscribing again as best effort'
-                )
-        elif time.monotonic() - since_s >= KNOWN_AFTER_S:
-            del self._mismatched_s[topic]
-            self._diagnostics.warn(
-                f'{name} has a publisher of an incompatible quality of service, whose messages '
-                f'are not received; expected reliable or best effort, volatile: '
-                f'{self._publishers(name)}'
-            )
 
     def _lost(self, event: Any) -> None:
         self._diagnostics.drop(

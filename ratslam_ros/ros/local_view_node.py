@@ -76,10 +76,8 @@ class LocalViewNode(ImageNode):
         self.host.map.publish(self._publisher, payload)
         if core is not None:
             self._check_structure(stamp_ns, core.low_texture)
-        if core is not None and self._image is not None and (
-            self._matched.get_subscription_count() > 0
-        ):
-            self._publish_matched(stamp_ns, core, self._image)
+            if self._image is not None and self._matched.get_subscription_count() > 0:
+                self._publish_matched(stamp_ns, core, self._image)
 
     def _check_structure(self, stamp_ns: int, low_texture: int) -> None:
         """Warn while no view has enough structure."""

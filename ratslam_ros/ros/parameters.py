@@ -92,7 +92,6 @@ class NodeParameters:
 
     def declare(self) -> None:
         """Declare all parameters, when the values do not change before the start any more."""
-        self._folder = self.config.memory.memory_folder
         values = self.config.flat()
         for name, key in self._keys.items():
             _declare(self._node, name, values[key], *DECLARATIONS[key])
@@ -138,11 +137,11 @@ class NodeParameters:
         values: dict[str, Any] = {
             self._keys[p.name]: p.value for p in parameters if p.name in self._keys
         }
-        folder = values.get('memory.memory_folder')
-        if folder is not None and not is_below(str(folder), self._folder):
+        folder, given = values.get('memory.memory_folder'), self.first.memory.memory_folder
+        if folder is not None and not is_below(str(folder), given):
             # Everyone who reaches the node could have it write and read elsewhere.
             return SetParametersResult(successful=False, reason=(
-                f'memory_folder is {folder!r:.100}; expected a folder below {self._folder}, with '
+                f'memory_folder is {folder!r:.100}; expected a folder below {given}, with '
                 'which the node was started'
             ))
         try:

@@ -47,7 +47,7 @@ class PoseCellsNode(RatslamNode):
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
         self._cells = self.create_publisher(PointCloud2, 'pose_cells/cells', VIEW)
         self._packets = self.create_payload_publisher(PacketsPayload, VIEW)
-        self._sonars = SonarPlot(self, lambda: self._core, lambda: self.frames.known_base)
+        self._sonars = SonarPlot(self, self._stage)
         self._shown_s = 0.0
         self._goals: GoalSeeking | None = None
         self._logged_gain = self.config.inputs.odom_rotation_gain

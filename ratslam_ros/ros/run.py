@@ -23,6 +23,7 @@ from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import DONE, UNUSABLE, RatslamError, UnusableInput
 from ratslam_ros.own_stages import add_stage
+from ratslam_ros.pipeline.commands import UseOdometry
 from ratslam_ros.quick_start import import_numba, settle
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.managed import AUTOSTART, LIFECYCLE, managed
@@ -39,7 +40,7 @@ and ``ros2 launch`` sends SIGINT again to its nodes if its standard input is not
 
 def run(
     *kinds: type[Any], args: list[str] | None = None, decided: str = '',
-    parser: argparse.ArgumentParser | None = None,
+    options: argparse.Namespace | None = None,
 ) -> int:
     """Create nodes and spin them on one executor until SIGINT or SIGTERM.
 
@@ -52,8 +53,8 @@ def run(
             no arguments.
         args: arguments for rclpy; None: those of the process. With ``--lifecycle``, RatslamNodes
             are managed nodes, and with ``--autostart`` they activate themselves.
-        decided: what `auto` has decided about the odometry, see ``Host``.
-        parser: that of single_process; None: of the program of one node.
+        decided: what `auto` has decided about the odometry, '' if nothing.
+        options: arguments of single_process; None: those of the program of one node are parsed.
 
     Returns:
         The exit code: 0 after a signal, 2 if a parameter or argument cannot be used.
@@ -62,9 +63,9 @@ def run(
         UnusableInput: an argument for ROS cannot be used.
     """
     given = sys.argv[1:] if args is None else args
-    is_alone = parser is None
-    parser = parser or parser_of(kinds[0].SECTION, kinds[0].__doc__ or '')
-    options = parsed(parser, args)
+    is_alone = options is None
+    if options is None:
+        options = parsed(parser_of(kinds[0].SECTION, kinds[0].__doc__ or ''), args)
     stop = StopSignals(repeats_s=REPEATED_SIGNAL_S)
     nodes: list[Any] = []
     threads: list[threading.Thread] = []
@@ -76,7 +77,7 @@ def run(
         init(args)
         _warm_up(kinds)
         initial = initial_config(given)
-        host = Host(is_alone, decided, chain_of(options))
+        host = Host(is_alone, chain_of(options))
         for kind in kinds:  # It compiles what only some parameters need.
             if issubclass(kind, RatslamNode):
                 created: type[Any] = managed(kind) if options.lifecycle else kind
@@ -85,6 +86,8 @@ def run(
                 nodes.append(kind())
         if host.nodes:
             host.start()
+        if decided:
+            host.command(UseOdometry(decided))
         with stop:
             if host.nodes and not options.lifecycle:
                 host.map.open()

@@ -57,7 +57,7 @@ def main(args: list[str] | None = None) -> int:
         decided = _decided_odometry(args)
         stages = chosen_stages(options.stages, decided)
     kinds = [kind for kind in KINDS if kind.SECTION in stages]
-    return run(*kinds, args=args, decided=decided, parser=parser)
+    return run(*kinds, args=args, decided=decided, options=options)
 
 
 def _decided_odometry(args: list[str] | None) -> str:

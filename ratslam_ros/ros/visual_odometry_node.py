@@ -48,7 +48,6 @@ class VisualOdometryNode(ImageNode):
         """Publish the odometry."""
         self._publisher = self.create_publisher(OdometryMessage, 'odom', RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
-        self._fov_deg: float | None = None
         self._need_not_wait = threading.Event()
         """Set when the field of view is known, or will not be."""
         if self.section.fov_from_camera_info:
@@ -57,17 +56,11 @@ class VisualOdometryNode(ImageNode):
             )
         pipeline.observe('odometry', self._publish)
 
-    def restored(self) -> None:
-        """Continue after the stage was restored from a state."""
-        if self._stage.fov_deg is not None:
-            self._fov_deg = self._stage.fov_deg
-            self._need_not_wait.set()
-
     @property
     def _must_wait(self) -> bool:
         return (
-            self.section.fov_from_camera_info and not self._need_not_wait.is_set()
-            and publisher_count(self, 'camera_info') > 0
+            self.section.fov_from_camera_info and self._stage.fov_deg is None
+            and not self._need_not_wait.is_set() and publisher_count(self, 'camera_info') > 0
         )
 
     def _process_past(self, message: Message) -> None:
@@ -94,7 +87,7 @@ class VisualOdometryNode(ImageNode):
 
     def _on_camera_info(self, message: CameraInfo) -> None:
         focal_px, width_px = float(message.k[0]), int(message.width)
-        if self._fov_deg is not None:
+        if self._stage.fov_deg is not None:
             return
         if not (math.isfinite(focal_px) and focal_px > 0.0 and width_px > 0):
             self.diagnostics.warn(
@@ -103,9 +96,9 @@ class VisualOdometryNode(ImageNode):
             )
             self._need_not_wait.set()
             return
-        self._fov_deg = field_of_view_deg(focal_px, width_px)
-        self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
-        self.host.command(SetFieldOfView(self._fov_deg))
+        fov_deg = field_of_view_deg(focal_px, width_px)
+        self.get_logger().info(f'field of view from camera_info: {fov_deg:.2f} deg')
+        self.host.command(SetFieldOfView(fov_deg))
         self._need_not_wait.set()
 
     def _publish(self, stamp_ns: int, received: Odometry) -> None:
@@ -128,6 +121,7 @@ class VisualOdometryNode(ImageNode):
             self._tf.publish(TFMessage(transforms=[frames]))
 
     def _diagnostic_values(self) -> dict[str, Any]:
-        fov_deg = self._fov_deg if self._fov_deg is not None else self.section.camera_fov_deg
-        source = 'camera_fov_deg' if self._fov_deg is None else 'camera_info'
+        fov_deg, source = self._stage.fov_deg, 'camera_info'
+        if fov_deg is None:
+            fov_deg, source = self.section.camera_fov_deg, 'camera_fov_deg'
         return {**super()._diagnostic_values(), 'field_of_view': f'{fov_deg:.2f} deg ({source})'}

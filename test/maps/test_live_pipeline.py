@@ -14,6 +14,7 @@ from helpers import PERIOD_NS, START_NS, extended, picture, twist
 from msgspec import structs
 from state_digest import digest_of
 
+from ratslam_ros.chain import Chain
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.pose_hint import PoseHint
@@ -29,8 +30,6 @@ from ratslam_ros.pipeline.codec import encode_item
 from ratslam_ros.pipeline.commands import Hint, NamePlace, Reset, SetMapping
 from ratslam_ros.pipeline.items import NumberedAction
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES, Reporter
-from ratslam_ros.pipeline.pipeline import Follower, Pipeline
-from ratslam_ros.pipeline.pipeline import Passing as PassingStage
 from ratslam_ros.pipeline.streams import STREAMS
 
 PARTS = 'local_view', 'pose_cells', 'experience_map'
@@ -38,6 +37,7 @@ DECAY = 'pose_cells.vt_active_decay'
 CONFIG = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
+    'inputs.max_lateness_s': 3e-9 * PERIOD_NS,
 })
 
 
@@ -58,7 +58,7 @@ class Logging(Process):
 
 def live(process: Process) -> LivePipeline:
     stages = [LIVE_STAGES[part](CONFIG, Reporter()) for part in PARTS]
-    return LivePipeline(Pipeline(stages, 3 * PERIOD_NS), CONFIG, process)
+    return LivePipeline(stages, CONFIG, process)
 
 
 def drive(to: LivePipeline, first: int, last: int, begin_ns: int = START_NS) -> None:
@@ -180,17 +180,13 @@ class Passing(Logging):
 
 def head(process: Passing, run: int = 5) -> LivePipeline:
     made = LIVE_STAGES['local_view'](CONFIG, Reporter())
-    passing = PassingStage(('odometry', 'template'), lambda *one: found.pass_on(*one))
-    found = LivePipeline(
-        Pipeline([made], 3 * PERIOD_NS, passing=passing), CONFIG, process, run
-    )
-    return found
+    return LivePipeline([made], CONFIG, process, Chain(is_followed=True), run)
 
 
 def follower(process: Process) -> LivePipeline:
     streams = [one for one in STREAMS if not one.answers]
     stages = [LIVE_STAGES[part](CONFIG, Reporter()) for part in PARTS[1:]]
-    return LivePipeline(Follower(stages, 3 * PERIOD_NS, streams=streams), CONFIG, process)
+    return LivePipeline(stages, CONFIG, process, Chain('local_view'), streams=streams)
 
 
 def passed(last: int = 40) -> tuple[LivePipeline, list[PassedItem]]:
@@ -308,10 +304,8 @@ def test_lost_items_are_reported_and_another_run_is_used() -> None:
 def test_map_answers_actions_that_it_does_not_repeat() -> None:
     """Otherwise pose cells that have lost their state would wait for these answers."""
     process = Passing()
-    found = LivePipeline(
-        Follower([LIVE_STAGES['experience_map'](CONFIG, Reporter())], 3 * PERIOD_NS),
-        CONFIG, process,
-    )
+    stages = [LIVE_STAGES['experience_map'](CONFIG, Reporter())]
+    found = LivePipeline(stages, CONFIG, process, Chain('pose_cells'))
     action = NumberedAction(3, NONE, START_NS)
     for run in (5, 7):
         for number, stamp_ns in enumerate((START_NS, START_NS + PERIOD_NS), 1):

@@ -26,7 +26,8 @@ def test_pause_after_a_slice_is_for_work_and_not_for_stalls(
         monkeypatch.setattr(module, 'time', clocks)
     topic = SimpleNamespace(get_subscription_count=lambda: 1)
     node: Any = SimpleNamespace(create_publisher=lambda *_: topic)
-    grids = grid_publisher.GridPublisher(node)
+    stage: Any = SimpleNamespace(core=None, scans=SimpleNamespace(), action_ns=0)
+    grids = grid_publisher.GridPublisher(node, stage)
 
     def update(*_: Any) -> int:
         clock.now_s += 3.0
@@ -34,13 +35,12 @@ def test_pause_after_a_slice_is_for_work_and_not_for_stalls(
         return 0
 
     grids._grid = SimpleNamespace(update=update, has_changed=False, is_empty=True)  # type: ignore[assignment]
-    unused: Any = None
-    assert grids.advance(unused, unused, 0)
+    assert grids.advance()
     stopped_s = clock.now_s
     clock.now_s = stopped_s + 0.9 * pause_s
-    assert not grids.advance(unused, unused, 0)
+    assert not grids.advance()
     clock.now_s = stopped_s + 1.1 * pause_s
-    assert grids.advance(unused, unused, 0)
+    assert grids.advance()
 
 
 def test_closed_publisher_has_sent_its_message() -> None:

@@ -53,17 +53,19 @@ def test_text_is_that_of_the_map_at_the_first_step() -> None:
 class Sender:
     """A sender that writes one block per call, at a simulated time."""
 
-    def __init__(self, world: MakeWorld, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> None:
+    def __init__(
+        self, world: MakeWorld, monkeypatch: pytest.MonkeyPatch, count: int, **settings: Any
+    ) -> None:
         for name, value in settings.items():
             monkeypatch.setattr(sliced_publisher, name, value)
-        self.clock_s = self.worked_s = 0.0
-        clocks = SimpleNamespace(
-            monotonic=lambda: self.clock_s, thread_time=lambda: self.worked_s
-        )
+        self.clock_s = 0.0
+        clocks = SimpleNamespace(monotonic=lambda: self.clock_s, thread_time=lambda: 0.0)
         for module in (map_sender, sliced_publisher):
             monkeypatch.setattr(module, 'time', clocks)
         self.world = world()
-        self.sender = map_sender.MapSender(self.world.tester)
+        self.graph = chain(count)
+        self.stage: Any = SimpleNamespace(core=self.graph, action_ns=9)
+        self.sender = map_sender.MapSender(self.world.tester, self.stage)
         self.received = self.world.listen(String, 'experience_map/map', LATCHED)
         self.world.until(lambda: self.sender._publisher.get_subscription_count() == 1)
 
@@ -74,12 +76,12 @@ class Sender:
 
 
 def test_large_map_is_sent_in_slices(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> None:
-    sending = Sender(world, monkeypatch, SLICE_S=-1.0, THREAD_BYTES=1000)
-    graph, sender = chain(COUNT), sending.sender
+    sending = Sender(world, monkeypatch, COUNT, SLICE_S=-1.0, THREAD_BYTES=1000)
+    graph, sender = sending.graph, sending.sender
     sender.has_changed = True
     expected = encode_map(9, graph)
     calls = 1
-    while not sender.advance(graph, 9, period_s=1.0):
+    while not sender.advance(period_s=1.0):
         calls += 1
         graph._poses.values[:COUNT] += 0.5
     assert calls == 12  # one for each part, and one that finds the end
@@ -87,55 +89,32 @@ def test_large_map_is_sent_in_slices(world: MakeWorld, monkeypatch: pytest.Monke
     assert sender._thread is not None
     sender._thread.join()
     sender.has_changed = True
-    assert not sender.advance(graph, 10, period_s=1.0)  # the period has not passed
+    assert not sender.advance(period_s=1.0)  # the period has not passed
     assert sender.has_changed
     sending.clock_s = 1.0
-    sender.advance(graph, 10, period_s=1.0)
+    sender.advance(period_s=1.0)
     assert not sender.has_changed
-
-
-@pytest.mark.parametrize(('worked_s', 'next_s'), [(0.0, 11.0), (1.0, 21.0)])
-def test_pause_after_a_map_is_for_work_and_not_for_stalls(
-    world: MakeWorld, monkeypatch: pytest.MonkeyPatch, worked_s: float, next_s: float
-) -> None:
-    sending = Sender(world, monkeypatch)
-    graph, sender = chain(3), sending.sender
-    sending.clock_s = 10.0
-    sender.has_changed = True
-    write_part = sender._write
-
-    def write() -> bool:
-        sending.clock_s += 1.0  # the machine is busy with other processes, or with this map
-        sending.worked_s += worked_s
-        while write_part():
-            pass
-        return False
-
-    sender._write = write
-    assert sender.advance(graph, 9, period_s=1.0)
-    for now_s, is_due in ((next_s - 0.1, False), (next_s + 0.1, True)):
-        sending.clock_s, sender.has_changed = now_s, True
-        assert sender.advance(graph, 10, period_s=1.0) == is_due
 
 
 def test_finish_sends_the_last_map_at_once(
     world: MakeWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sending = Sender(world, monkeypatch, SLICE_S=-1.0)
-    graph, sender = chain(COUNT), sending.sender
+    sending = Sender(world, monkeypatch, COUNT, SLICE_S=-1.0)
+    graph, sender = sending.graph, sending.sender
     sender.has_changed = True
-    assert not sender.advance(graph, 9, period_s=1.0)
+    assert not sender.advance(period_s=1.0)
     extend(graph, COUNT)  # while the map is being written
-    sender.finish(graph, 10)
+    sending.stage.action_ns = 10
+    sender.finish()
     assert sending.text() == encode_map(10, graph)
-    sender.finish(graph, 10)
+    sender.finish()
     sending.world.spin(0.1)
     assert not sending.received
 
 
 def test_unchanged_map_is_not_sent(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> None:
-    sending = Sender(world, monkeypatch)
-    assert not sending.sender.advance(chain(3), 9, period_s=0.0)
+    sending = Sender(world, monkeypatch, 3)
+    assert not sending.sender.advance(period_s=0.0)
     assert not sending.sender.has_sent
 
 

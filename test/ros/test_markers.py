@@ -38,7 +38,8 @@ def test_serialised_markers_contain_the_map(
     world: MakeWorld, frame_id: str, count: int, gap_every: int
 ) -> None:
     graph = drive(count, gap_every)
-    data = serialised_markers(graph, 1_700_000_012_500_000_000, frame_id)
+    graph.frame_id = frame_id
+    data = serialised_markers(graph, 1_700_000_012_500_000_000)
     links, places, current = deserialize_message(data, MarkerArray).markers
 
     def points(marker: Any) -> list[tuple[float, float, float]]:

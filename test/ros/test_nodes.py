@@ -35,7 +35,7 @@ from ratslam_ros.files.config import UNNAMED, load_config
 from ratslam_ros.maps import read_map, save_map
 from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
-from ratslam_ros.ros import inputs, visual_odometry_node
+from ratslam_ros.ros import visual_odometry_node
 from ratslam_ros.ros.convert import header_of, odometry_of
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.local_view_node import LocalViewNode
@@ -173,26 +173,6 @@ def test_best_effort_camera_is_received_without_a_false_alarm(
     logged = ''.join(capfd.readouterr())
     assert '/image has a best-effort publisher: subscribing again as best effort' in logged
     assert 'No messages will be received' not in logged
-
-
-def test_mismatch_that_is_reported_before_its_publisher_is_known_is_no_false_alarm(
-    world: MakeWorld, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made, _ = local_view(world)
-    [images] = made.nodes[0].inputs
-    monkeypatch.setattr(images, '_is_best_effort', lambda topic: False)
-    images._on_mismatch('image')
-    images.update(60.0)
-    assert ''.join(capfd.readouterr()) == ''
-    monkeypatch.setattr(images, '_is_best_effort', lambda topic: topic == 'image')
-    images.update(60.0)
-    assert 'subscribing again as best effort' in ''.join(capfd.readouterr())
-    # Another difference than reliability.
-    monkeypatch.setattr(images, '_is_best_effort', lambda topic: False)
-    monkeypatch.setattr(inputs, 'KNOWN_AFTER_S', 0.0)
-    images._on_mismatch('image')
-    images.update(60.0)
-    assert ''.join(capfd.readouterr()).count('incompatible quality of service') == 1
 
 
 def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:

@@ -7,10 +7,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker
 from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
+from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import STATE
 
@@ -25,9 +25,9 @@ MAX_ITEMS = 500
 class MapChangePublisher:
     """Publishes the changes of the map while there are subscribers."""
 
-    def __init__(self, node: RatslamNode) -> None:
+    def __init__(self, node: RatslamNode, stage: LiveExperienceMap) -> None:
         """Create the topics and the service of the node of the map."""
-        self._frame_id = node.section.map_frame
+        self._stage, self._frame_id = stage, node.section.map_frame
         self._changes = node.create_payload_publisher(MapChangePayload, STATE)
         self._closures = node.create_payload_publisher(ClosurePayload, STATE)
         node.offer('experience_map/send_all', self._on_send_all)
@@ -45,16 +45,8 @@ class MapChangePublisher:
             if self._closures.get_subscription_count() > 0:
                 self._closures.publish(ClosurePayload.of(stamp_ns, sequence, event))
 
-    def update(self, experience_map: ExperienceMap, stamp_ns: int) -> bool:
-        """Publish the next change if there is one and it is due.
-
-        Args:
-            experience_map: the map.
-            stamp_ns: stamp of its last action.
-
-        Returns:
-            Whether the map was compared with what was sent.
-        """
+    def update(self) -> bool:
+        """Publish the next change if it is due; return whether the map was compared for it."""
         now_s = time.monotonic()
         if now_s < self._next_s:
             return False
@@ -65,8 +57,8 @@ class MapChangePublisher:
         self._viewers = viewers
         if viewers == 0:
             return False
-        change = self._tracker.next_change(experience_map, stamp_ns, MAX_ITEMS)
-        now = stamp_ns, change.current_id
+        change = self._tracker.next_change(self._stage.core, self._stage.action_ns, MAX_ITEMS)
+        now = change.stamp_ns, change.current_id
         if not len(change) and not change.is_restart and now == self._last:
             return True
         self._last = now

@@ -41,7 +41,7 @@ SHORTEST_BAR_M = 0.3
 """Length of the lines that show the directions of corners."""
 
 
-def serialised_markers(experience_map: ExperienceMap, stamp_ns: int, frame_id: str) -> bytes:
+def serialised_markers(experience_map: ExperienceMap, stamp_ns: int) -> bytes:
     """Return a MarkerArray in CDR: links as lines, experiences as spheres, the current one larger.
 
     A marker of 20,000 experiences would need as many objects, whose conversion takes 100 ms. The
@@ -72,7 +72,7 @@ def serialised_markers(experience_map: ExperienceMap, stamp_ns: int, frame_id: s
         lists.append((COLOUR_BYTES, palette[numbers].tobytes()))
     markers = [links, places, current]
     for marker in markers:
-        marker.header = header_of(stamp_ns, frame_id)
+        marker.header = header_of(stamp_ns, experience_map.frame_id)
     data = bytes(serialize_message(MarkerArray(markers=markers)))
     parts, at = [], 0
     for element, content in lists:

@@ -65,10 +65,8 @@ class ScanInput:
     def receive(self, message: LaserScan) -> None:
         """Use a scan, or keep it until the place of its laser is known."""
         if not self._waiting:
-            if self._try(message, self._base_frame()):
-                return
             self._waiting_since_s = time.monotonic()
-        if len(self._waiting) >= MAX_WAITING:
+        elif len(self._waiting) >= MAX_WAITING:
             self._refuse('scan', 'too many scans wait for the transform of the laser')
             return
         self._waiting.append(message)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 MAX_LOAD_RATIO = 0.1
@@ -40,10 +40,10 @@ class SlicedPublisher:
         is_sending = self._thread is not None and self._thread.is_alive()
         return not is_sending and time.monotonic() >= self._next_slice_s
 
-    def _work(self, step: Callable[[], bool]) -> None:
-        """Do steps until the slice ends, or a step returns that nothing is left to do."""
+    def _work(self, steps: Iterator[bool]) -> None:
+        """Do steps until the slice ends, or one yields that nothing is left to do at present."""
         start_s, worked_s = time.monotonic(), time.thread_time()
-        while step() and time.monotonic() < start_s + SLICE_S:
+        while next(steps, False) and time.monotonic() < start_s + SLICE_S:
             pass
         worked_s = time.thread_time() - worked_s
         self._next_slice_s = time.monotonic() + worked_s / MAX_LOAD_RATIO

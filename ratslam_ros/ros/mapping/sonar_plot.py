@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import Range
@@ -16,11 +15,11 @@ from ratslam_ros.core.common.mount import FrameTree, UnusableMount
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.occupancy import Picture
 from ratslam_ros.core.mapping.sonar_grid import SonarGrid
-from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Torus
+from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.ros.convert import grid_message, stamp_ns
+from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.mapping.scans import add_transforms
-from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import LATCHED, STATIC, WATCH
 
 PERIOD_S = 2.0
@@ -33,17 +32,9 @@ SONARS_COUNT = 8
 class SonarPlot:
     """Adds ranges at the peak of the active packet, from the first subscriber on."""
 
-    def __init__(
-        self, node: PlainNode, cells: Callable[[], PoseCells], base_frame: Callable[[], str | None]
-    ) -> None:
-        """Create the topic.
-
-        Args:
-            node: the node.
-            cells: returns the pose cells.
-            base_frame: returns the frame of the robot; None while it is unknown.
-        """
-        self._node, self._cells, self._base_frame = node, cells, base_frame
+    def __init__(self, node: HostedNode, stage: PoseCellsStage) -> None:
+        """Create the topic of the node of a stage."""
+        self._node, self._stage = node, stage
         self._publisher = node.create_publisher(OccupancyGrid, 'pose_cells/grid', LATCHED)
         self._tree = FrameTree()
         self._has_subscribed = False
@@ -52,7 +43,7 @@ class SonarPlot:
 
     def reset(self) -> None:
         """Begin an empty plot."""
-        self._grid = SonarGrid(Torus(*self._cells().dims))
+        self._grid = SonarGrid(Torus(*self._stage.core.dims))
 
     def update(self) -> None:
         """Subscribe to the sonars once the plot has a subscriber."""
@@ -68,7 +59,7 @@ class SonarPlot:
 
     def _on_range(self, message: Range) -> None:
         """Add a range, and publish the plot if it is due and has a subscriber."""
-        base = self._base_frame()
+        base = self._node.frames.known_base
         try:
             mount = None if base is None else self._tree.mount_of(message.header.frame_id, base)
         except UnusableMount as error:
@@ -76,7 +67,7 @@ class SonarPlot:
             return
         if mount is None:
             return  # not known yet
-        cells = self._cells()
+        cells = self._stage.core
         self._grid.add(
             cells.peak, cells.lengths.cell_m, Pose(mount.x_m, mount.y_m, mount.yaw_rad),
             float(message.field_of_view),

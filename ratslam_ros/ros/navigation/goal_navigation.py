@@ -139,7 +139,7 @@ class GoalNavigation:
         if guidance.waypoint is None:
             self._end_route()
             return
-        header = header_of(self._stamp_ns, self._frame)
+        header = header_of(self._stamp_ns, self._map.frame_id)
         self._waypoint.publish(PoseStamped(header=header, pose=pose_message(guidance.waypoint)))
         period = self._stamp_ns // REPUBLISH_PERIOD_NS
         key = guidance.status, guidance.replanned, self._map.current_id, guidance.goal, period
@@ -157,7 +157,7 @@ class GoalNavigation:
     def _path(
         self, positions_m: NDArray[np.float64] = NO_POSITIONS, arrival_s: Sequence[float] = ()
     ) -> Path:
-        return path_of(positions_m, arrival_s, self._stamp_ns, self._frame)
+        return path_of(positions_m, arrival_s, self._stamp_ns, self._map.frame_id)
 
     def _publish_status(self) -> None:
         """Publish the status if it has changed, and periodically while there is a goal."""
@@ -197,7 +197,7 @@ class GoalNavigation:
         points = np.zeros((np.count_nonzero(is_reachable), 4))
         points[:, :2] = self._map.poses[is_reachable, :2]
         points[:, 3] = times.arrival_s[is_reachable]
-        self._times.publish(point_cloud(self._stamp_ns, self._frame, points, 'time'))
+        self._times.publish(point_cloud(self._stamp_ns, self._map.frame_id, points, 'time'))
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Return the values for the diagnostics."""
@@ -322,11 +322,7 @@ class GoalNavigation:
 
     # Frames
 
-    @property
-    def _frame(self) -> str:
-        return self._node.config.experience_map.map_frame
-
     def _on_map(self, message: PoseStamped) -> Pose:
         """Transform a pose to the map's frame; raise UnreachableGoal if that is impossible."""
         here = None if self._map.localisation == 'unknown' else self._pose
-        return self._node.frames.pose_on_map(message, self._frame, here, self._odom_pose)
+        return self._node.frames.pose_on_map(message, self._map.frame_id, here, self._odom_pose)

@@ -93,7 +93,6 @@ class Recovery:
         self._nodes = nodes
         self.inputs: dict[str, Missed] = {}
         """What comes from outside, by the names of the streams."""
-        self._subscriptions: list[Any] = []
         self._start_s, self._kept_bytes = 0.0, 0
         self._continuity: dict[str, Continuity] = {}
         self._end: Callable[[], None] | None = None
@@ -149,7 +148,7 @@ class Recovery:
         """
         node = self._nodes[0]
         self._start_s, self._kept_bytes = time.monotonic(), 0
-        self._subscriptions = [
+        subscriptions = [
             node.create_subscription(
                 kind, history_topic(topic), one.add, HISTORY_INPUT,
                 event_callbacks=SubscriptionEventCallbacks(message_lost=self._lost),
@@ -160,7 +159,7 @@ class Recovery:
         def end() -> None:
             timer.cancel()
             self._end = None
-            for subscription in self._subscriptions:
+            for subscription in subscriptions:
                 node.destroy_subscription(subscription)
             done()
 
