@@ -4,12 +4,12 @@
 
     PYTHONPATH=. python benchmarks/soak.py [--hours 48] [--seed 1] [--out results/benchmarks]
 
-A robot drives at random through the warehouse of `latency_two_hours.py`, here with 3x3 junctions,
-and maps it with the defaults. Without limits, the map would grow by 7,000 experiences per hour,
-and have 1,450 templates. `exp_max` and `vt_max` are lower, so that both are removed and learned
-again all the time. Odometry has noise, and the light varies. The map is saved as by live nodes, at
-cuts of stamps. After each hour, routes are planned to places that were named after the first one.
-A route is drivable if it ends within 2 m of the place, and the experiences of each of its links
+A robot drives at random through a warehouse with 3x3 junctions (`simulated_town.py` at a smaller
+scale), and maps it with the defaults. Without limits, the map would grow by 7,000 experiences per
+hour, and have 1,450 templates. `exp_max` and `vt_max` are lower, so that both are removed and
+learned again all the time. Odometry has noise, and the light varies. The map is saved as by live
+nodes, at cuts of stamps. After each hour, routes are planned to places that were named after the
+first one. A route is drivable if it ends within 2 m of the place, and the experiences of each of its links
 were seen at places at most 4 m from each other. The simulation runs as fast as possible. Linux
 only.
 """
@@ -20,14 +20,12 @@ import argparse
 import sys
 import time
 from array import array
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import matplotlib
 import numpy as np
-from latency_two_hours import WAREHOUSE
-from simulated_town import At, Camera, drive, resident_mb
+from simulated_town import At, Camera, Town, drive, resident_mb
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -44,6 +42,10 @@ import matplotlib.pyplot as plt
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGE_HZ, CUT_S = 4, 10
+WAREHOUSE = Town(
+    lot_m=1.2, block=8, eye_m=0.6, fov_deg=60.0, lane_m=0.0, corner_m=0.8, columns=3,
+    speed_mps=1.0, turning_mps=0.5, brake_mps2=0.5, sway_m=0.05, light=0.1, known=1.0,
+)
 LIMITS = {'pose_cells.exp_max': 1500, 'local_view.vt_max': 1300}
 NOISE = 0.02
 GOALS = 20
@@ -56,9 +58,8 @@ class Soak:
 
     def __init__(self, seed: int, path: Path) -> None:
         self._rng = np.random.default_rng(seed)
-        town = replace(WAREHOUSE, columns=3, known=1.0)
-        self._camera = Camera(town, seed, 160, 120)
-        self._drive = drive(town, seed, 1.0 / IMAGE_HZ)
+        self._camera = Camera(WAREHOUSE, seed, 160, 120)
+        self._drive = drive(WAREHOUSE, seed, 1.0 / IMAGE_HZ)
         config = load_config(None)[0].with_values(LIMITS)
         self.slam = RatSLAM(config)
         self._planner = RoutePlanner(config.goal_recall, self.slam.experience_map)

@@ -74,6 +74,12 @@ class Difference(NamedTuple):
     rad2: float
 
 
+def _by_length(rows: list[list[float]]) -> dict[float, list[Difference]]:
+    return {
+        length: [Difference(*one) for of, *one in rows if of == length] for length in LENGTHS
+    }
+
+
 class Recognised(NamedTuple):
     """Pose of the robot where it was recognised, by odometry and on the map."""
 
@@ -88,7 +94,7 @@ class OdometryNoise(Saved):
     SAVED = (
         Field('differences', '_differences', float, ('', 3), 0.0, optional=True,
               save=lambda found: [(length, *one) for length, all in found.items() for one in all],
-              load=lambda rows: _by_length(rows), fits=(
+              load=_by_length, fits=(
                   'rows of each length', lambda rows, _: {row[0] for row in rows} == {*LENGTHS}
               )),
         Field('trail', '_trail', float, ('', 7), optional=True,
@@ -243,12 +249,6 @@ def _difference(start: Recognised, end: Recognised, view_spacing_m: float) -> Di
     apart /= view_spacing_m
     spacings = (end.driven_m - start.driven_m) / view_spacing_m
     return Difference(apart * apart / spacings, apart_rad * apart_rad / spacings)
-
-
-def _by_length(rows: list[list[float]]) -> dict[float, list[Difference]]:
-    return {
-        length: [Difference(*one) for of, *one in rows if of == length] for length in LENGTHS
-    }
 
 
 def _median(values: Iterable[float]) -> float:
