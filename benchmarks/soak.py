@@ -9,9 +9,9 @@ scale), and maps it with the defaults. Without limits, the map would grow by 7,0
 hour, and have 1,450 templates. `exp_max` and `vt_max` are lower, so that both are removed and
 learned again all the time. Odometry has noise, and the light varies. The map is saved as by live
 nodes, at cuts of stamps. After each hour, routes are planned to places that were named after the
-first one. A route is drivable if it ends within 2 m of the place, and the experiences of each of its links
-were seen at places at most 4 m from each other. The simulation runs as fast as possible. Linux
-only.
+first one. A route is drivable if it ends within 2 m of the place, and the experiences of each of
+its links were seen at places at most 4 m from each other. The simulation runs as fast as possible.
+Linux only.
 """
 
 from __future__ import annotations
