@@ -4,7 +4,7 @@
 
 Between two recognitions the odometry gives a motion, and the recognised experiences have another
 one on the map. They differ by the errors of two drives, and of the recognitions. The median of
-many such differences does not depend on false recognitions.
+many such differences hardly depends on false recognitions.
 
 Errors of recognitions do not grow with the distance driven, so that positions after two lengths
 tell them from those of the odometry. Headings are compared after long stretches, where errors of
@@ -240,13 +240,14 @@ class OdometryNoise(Saved):
 
 
 def _difference(start: Recognised, end: Recognised, view_spacing_m: float) -> Difference:
+    """Return how the motions by odometry and on the map differ between two recognitions."""
     x_m, y_m, turn_rad = composed(inverse(start.by_odometry), end.by_odometry)
     place_x_m, place_y_m, place_rad = composed(inverse(start.on_map), end.on_map)
     apart_rad = wrap(place_rad - turn_rad)
-    # An error of the heading that has grown evenly has turned the displacement by half of it.
+    # An error of the heading that grows evenly turns the displacement by half of the error.
     c, s = math.cos(0.5 * apart_rad), math.sin(0.5 * apart_rad)
-    apart = math.hypot(place_x_m - c * x_m + s * y_m, place_y_m - s * x_m - c * y_m)
-    apart /= view_spacing_m
+    apart_m = math.hypot(place_x_m - c * x_m + s * y_m, place_y_m - s * x_m - c * y_m)
+    apart = apart_m / view_spacing_m
     spacings = (end.driven_m - start.driven_m) / view_spacing_m
     return Difference(apart * apart / spacings, apart_rad * apart_rad / spacings)
 
