@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rotation_gain import scale_of_turns, systematic_errors
+from ratslam_ros.core.common.rotation_gain import scale_of_turns
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.turn_correction import UNCORRECTED
 from ratslam_ros.core.config import Config
@@ -87,9 +87,7 @@ def _pose_cells(config: Config) -> None:
             motion_from.update(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
             pose_cells.integrate(_MOTION)
             pose_cells.view(ViewMatch(n % 15, n < 15, 0.0, 0.0))
-    turns = np.full(10, 6.0)
-    systematic_errors(turns, turns, np.zeros(10))
-    scale_of_turns(turns, 0.5, 2.0)
+    scale_of_turns(np.full(10, 6.0), 0.5, 2.0)
     pose_cells.activity()
 
 

@@ -107,7 +107,7 @@ def field_of_view_deg(looks: Sequence[Look], config: Config) -> float | None:
     )
     assumed_deg = config.visual_odometry.camera_fov_deg
     found = scale_of_turns(turns_rad, NARROWEST_DEG / assumed_deg, WIDEST_DEG / assumed_deg)
-    return None if found is None else assumed_deg * found.correction.gain
+    return None if found is None else assumed_deg * found.gain
 
 
 def look_alike_ratio(looks: Sequence[Look], config: Config, fov_deg: float) -> float | None:

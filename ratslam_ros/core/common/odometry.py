@@ -76,6 +76,12 @@ class Motion:
         """Length of the chord of the arc; negative when driving backwards."""
         return self.distance_m * _sinc(0.5 * self.turn_rad)
 
+    def corrected(self, correction: TurnCorrection) -> Motion:
+        """Return the motion with a correction of its turn."""
+        if correction == UNCORRECTED:
+            return self
+        return replace(self, turn_rad=correction.corrected(self.turn_rad, self.distance_m))
+
 
 def odometry_state(odometry: Odometry) -> list[int | float | bool]:
     """Return a message for a saved state."""
@@ -163,11 +169,7 @@ class MotionFromOdometry(Saved):
         else:
             v, w, sideways = odometry.twist
             ahead, left, turn = v * dt_s, sideways * dt_s, w * dt_s
-        motion = _motion(dt_s, ahead, left, turn, odometry.scale_known)
-        if self.correction == UNCORRECTED:
-            return motion
-        turn_rad = self.correction.corrected(motion.turn_rad, motion.distance_m)
-        return replace(motion, turn_rad=turn_rad)
+        return _motion(dt_s, ahead, left, turn, odometry.scale_known).corrected(self.correction)
 
     def ahead(self, waiting: Iterable[Odometry], offset: Pose) -> Pose:
         """Return ``offset`` moved on by queued messages, without changing this object.

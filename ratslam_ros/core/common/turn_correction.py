@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
+
+from ratslam_ros.core.common.pose import Pose, composed
 
 
 class TurnCorrection(NamedTuple):
@@ -20,6 +23,23 @@ class TurnCorrection(NamedTuple):
     def measured(self, turn_rad: float, distance_m: float) -> float:
         """Return the measured turn of a motion whose corrected turn is ``turn_rad``."""
         return (turn_rad - self.per_m_rad * distance_m) / self.gain
+
+    @property
+    def inverse(self) -> TurnCorrection:
+        """The correction that undoes this one."""
+        return TurnCorrection(1.0 / self.gain, -self.per_m_rad / self.gain)
+
+    def after(self, first: TurnCorrection) -> TurnCorrection:
+        """Return another correction followed by this one."""
+        return TurnCorrection(
+            self.gain * first.gain, self.gain * first.per_m_rad + self.per_m_rad
+        )
+
+    def of_arc(self, motion: Pose) -> Pose:
+        """Return a measured motion along an arc, whose direction is half of its turn."""
+        x_m, y_m, turn_rad = motion
+        half_rad = 0.5 * (self.corrected(turn_rad, math.hypot(x_m, y_m)) - turn_rad)
+        return composed(Pose(0.0, 0.0, half_rad), Pose(x_m, y_m, turn_rad + half_rad))
 
 
 UNCORRECTED = TurnCorrection()

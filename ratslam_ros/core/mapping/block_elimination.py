@@ -38,7 +38,7 @@ def solve(ends: Indices, diagonal: Reals, linking: Reals, rhs: Reals) -> int:
         ends: (links, 2) source and target.
         diagonal: (n, 3, 3) block of each experience; changed in place.
         linking: (links, 3, 3) block of each link: row of its source, column of its target.
-        rhs: (n, 3) right-hand sides; replaced by the solution.
+        rhs: (n, 3, k) right-hand sides; replaced by the solutions.
 
     Returns:
         Number of elimination steps, a measure of the cost.
@@ -56,14 +56,14 @@ def _solved(
     mesh: Indices, sources: Indices, targets: Indices, blocks: Reals, diagonal: Reals,
     rhs: Reals,
 ) -> Reals:
-    """Return the (m, 3) displacements of the experiences of the mesh.
+    """Return the (m, 3, k) displacements of the experiences of the mesh.
 
     Args:
         mesh: (m,) experiences.
         sources, targets: (links,) ends of the links of the mesh, one entry per direction.
         blocks: (links, 3, 3) blocks of these links.
         diagonal: (n, 3, 3) blocks of all experiences.
-        rhs: (m, 3) right-hand sides.
+        rhs: (m, 3, k) right-hand sides.
     """
     from scipy.sparse import bsr_array  # loaded only if there is a mesh: the import is slow
     from scipy.sparse.linalg import splu
@@ -75,13 +75,14 @@ def _solved(
     columns = number[np.concatenate([mesh, targets])[order]]
     values = np.concatenate([diagonal[mesh], blocks])[order]
     starts = np.searchsorted(rows[order], np.arange(len(mesh) + 1))
-    matrix = bsr_array((values, columns, starts), shape=(rhs.size, rhs.size)).tocsc()
+    size = 3 * len(mesh)
+    matrix = bsr_array((values, columns, starts), shape=(size, size)).tocsc()
     factors = splu(
         matrix, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
         options={'SymmetricMode': True},
     )
-    solution: Reals = factors.solve(rhs.ravel())
-    return solution.reshape(-1, 3)
+    solution: Reals = factors.solve(rhs.reshape(size, -1))
+    return solution.reshape(rhs.shape)
 
 
 @compiled
@@ -313,11 +314,12 @@ def _eliminate(
             i = neighbours[a]
             work += degree[i] + filled - begin
             new_degree = degree[i] - 1
-            for r in range(3):
-                rhs[i, r] -= (
-                    factors[a, r, 0] * rhs[v, 0] + factors[a, r, 1] * rhs[v, 1]
-                    + factors[a, r, 2] * rhs[v, 2]
-                )
+            for k in range(rhs.shape[2]):
+                x, y, z = rhs[v, 0, k], rhs[v, 1, k], rhs[v, 2, k]
+                for r in range(3):
+                    rhs[i, r, k] -= (
+                        factors[a, r, 0] * x + factors[a, r, 1] * y + factors[a, r, 2] * z
+                    )
             at = _index(i, v, head, other, after, entry, owner, a)
             after[at], free = free, at
             for b in range(begin, filled):
@@ -356,14 +358,18 @@ def _substitute_back(
 ) -> None:
     """Back substitution: compute each displacement from those of its neighbours."""
     for step in range(order.shape[0] - 1, -1, -1):
-        x, y, z = rhs[order[step]]
-        for r in range(3):
-            rhs[order[step], r] = (
-                inverses[step, r, 0] * x + inverses[step, r, 1] * y + inverses[step, r, 2] * z
-            )
-        for at in range(starts[step], starts[step + 1]):
-            x, y, z = rhs[neighbours[at]]
+        i = order[step]
+        for k in range(rhs.shape[2]):
+            x, y, z = rhs[i, 0, k], rhs[i, 1, k], rhs[i, 2, k]
             for r in range(3):
-                rhs[order[step], r] -= (
-                    factors[at, 0, r] * x + factors[at, 1, r] * y + factors[at, 2, r] * z
+                rhs[i, r, k] = (
+                    inverses[step, r, 0] * x + inverses[step, r, 1] * y
+                    + inverses[step, r, 2] * z
                 )
+            for at in range(starts[step], starts[step + 1]):
+                j = neighbours[at]
+                x, y, z = rhs[j, 0, k], rhs[j, 1, k], rhs[j, 2, k]
+                for r in range(3):
+                    rhs[i, r, k] -= (
+                        factors[at, 0, r] * x + factors[at, 1, r] * y + factors[at, 2, r] * z
+                    )

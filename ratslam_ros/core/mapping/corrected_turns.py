@@ -4,11 +4,9 @@
 
 from __future__ import annotations
 
-import math
-
-from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.pose import composed
 from ratslam_ros.core.common.rotation_gain import is_small_error
-from ratslam_ros.core.common.turn_correction import TurnCorrection
+from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 
 
@@ -24,23 +22,16 @@ def correct_turns(
     own = experience_map
     if own.parameters.exp_align_scans:
         return
-    own.link_table.correct_turns(before, now)
-    own.offset = _corrected(own.offset, before, now)
+    change = now.after(before.inverse)
+    own.link_table.correct_turns(change)
+    own.offset = change.of_arc(own.offset)
     if (departure := own.departure) is not None:
-        offset = _corrected(departure.offset, before, now)
-        own.departure = departure._replace(offset=offset)
-    if not is_small_error(now.gain / before.gain):
+        own.departure = departure._replace(offset=change.of_arc(departure.offset))
+    if not is_small_error(change.gain):
         own.link_table.shares[:] = 1.0  # of recognitions, which had to agree with a wrong map
+        own.optimiser.turns = UNCORRECTED
         _compose(own)
     own.optimiser.links_changed()
-
-
-def _corrected(pose: Pose, before: TurnCorrection, now: TurnCorrection) -> Pose:
-    """Return a relative pose by odometry with another correction of its turn."""
-    x, y, turn = pose
-    distance = math.hypot(x, y)
-    half = 0.5 * (now.corrected(before.measured(turn, distance), distance) - turn)
-    return composed(Pose(0.0, 0.0, half), Pose(x, y, turn + half))
 
 
 def _compose(experience_map: ExperienceMap) -> None:

@@ -150,6 +150,8 @@ class LinkedGraph(RobotOnGraph):
             Whether the link is new.
         """
         relative = composed(self.offset, inverse(target_offset))
+        if not recognised:
+            relative = self.optimiser.turns.inverse.of_arc(relative)
         link = Link.by_pose(
             source, target, relative, self._duration_s, behaviour, recognised=recognised
         )
@@ -177,6 +179,7 @@ class LinkedGraph(RobotOnGraph):
         error of its recognition.
         """
         relative = composed(departure.offset, inverse(target_offset))
+        relative = self.optimiser.turns.inverse.of_arc(relative)
         self.link_table.append(Link.by_pose(
             departure.experience_id, target, relative, departure.duration_s
         ))

@@ -19,6 +19,7 @@ from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, MAX_NUMBER, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
+from ratslam_ros.core.mapping.relaxation import corrected_turns
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,9 +236,10 @@ class Links(Saved):
         self._failures[row] = 0
         self.version += 1
 
-    def correct_turns(self, before: TurnCorrection, now: TurnCorrection) -> None:
-        """Replace the correction of the odometry that the links were measured with."""
-        _correct_turns(self.shapes, *before, *now)
+    def correct_turns(self, correction: TurnCorrection) -> None:
+        """Correct the turns of all links; see ``corrected_turns``."""
+        every = np.ones(len(self), np.bool_)
+        self._shapes.replace(corrected_turns(self.shapes, every, *correction))
         self.version += 1
 
     def delete(self, rows: list[int]) -> None:
@@ -337,20 +339,6 @@ def concatenated(first: Link, second: Link) -> Link:
         min(first.count, second.count),
         first.recognised or second.recognised,
     )
-
-
-@compiled
-def _correct_turns(
-    shapes: NDArray[np.float64], gain_before: float, per_m_before: float, gain: float,
-    per_m: float,
-) -> None:
-    """Correct the turns of links that are arcs, whose heading is half of their turn."""
-    for row in range(shapes.shape[0]):
-        distance = shapes[row, 0]
-        measured = (shapes[row, 2] - per_m_before * distance) / gain_before
-        change = gain * measured + per_m * distance - shapes[row, 2]
-        shapes[row, 1] = wrap(shapes[row, 1] + 0.5 * change)
-        shapes[row, 2] = wrap(shapes[row, 2] + change)
 
 
 @compiled

@@ -9,11 +9,18 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.link_weights import link_weights, reweigh
 from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.odometry_noise import OdometryNoise
-from ratslam_ros.core.mapping.relaxation import batch, relax, sweep
+from ratslam_ros.core.mapping.relaxation import (
+    batch,
+    corrected_turns,
+    relax,
+    relax_with_turns,
+    sweep,
+)
 
 LINKS_PER_ACTION = 2000
 """Number of links that one action may relax on average.
@@ -60,6 +67,8 @@ class PoseGraphOptimiser(Saved):
         count('planning_work', '_work'),
         Field('odometry_noise', 'noise', OdometryNoise,
               when=lambda own: own.view_spacing_m > 0.0 or own.noise.has_scans),
+        Field('turns', 'turns', float, (2,), make=TurnCorrection,
+              when=lambda own: own.turns != UNCORRECTED),
     )
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
@@ -68,6 +77,8 @@ class PoseGraphOptimiser(Saved):
         self._saved_steps = 0
         self.view_spacing_m = 0.0
         """Scale of the weights of all links; with 0 all links have the same weight."""
+        self.turns = UNCORRECTED
+        """Correction of the turns of odometry that suits the map best."""
         self.noise = OdometryNoise()
         """Noise of the odometry, which the weights follow."""
         self.is_settled = True
@@ -115,19 +126,24 @@ class PoseGraphOptimiser(Saved):
     def settle(self, poses: NDArray[np.float64], links: Links) -> None:
         """Move all experiences close to their most likely poses, whatever the budget.
 
-        Then adapt the weights of recognitions: one iteration of reweighted least squares. Those
-        that the map still contradicts after another iteration are deleted: routes must not use
-        them. Arguments as for ``step``.
+        Then adapt the weights of recognitions, one iteration of reweighted least squares, and
+        estimate the systematic errors of turns: a new recognition, which may be false, has its
+        full weight before. Those that the map still contradicts after another iteration are
+        deleted: routes must not use them. Arguments as for ``step``.
         """
-        recognised, shares = links.recognised, links.shares
+        ends, recognised, shares = links.ends, links.recognised, links.shares
         weights, old_shares = self.weights(links), shares.copy()
+        shapes = corrected_turns(links.shapes, ~recognised, *self.turns)
         for _ in range(MAX_STEPS):
-            self._work, before, after = relax(poses, links.ends, links.shapes, weights)
+            self._work, before, after = relax(poses, ends, shapes, weights)
             if after >= MOST_LEFT * before:
                 break
-        change = reweigh(
-            poses, links.ends, links.shapes, recognised, shares, self.view_spacing_m
-        )
+        spacing_m = self.view_spacing_m
+        change = reweigh(poses, ends, shapes, recognised, shares, spacing_m)
+        if spacing_m > 0.0:
+            before, after, self.turns = relax_with_turns(
+                poses, ends, links.shapes, self.weights(links), ~recognised, self.turns, spacing_m
+            )
         self.is_settled = before - after < LEAST_GAIN and change < MAX_CHANGE
         false = np.flatnonzero(recognised & (np.maximum(old_shares, shares) < FALSE_SHARE))
         if len(false) > 0:

@@ -137,6 +137,7 @@ class RobotOnGraph(ExperienceGraph):
             self._separate()
             self.lose('the motion since the last recognised place is unknown')
             return
+        motion = motion.corrected(self.optimiser.turns)
         distance_m = abs(motion.distance_m)
         self.offset = moved(self.offset, motion)
         self._duration_s += motion.dt_s

@@ -1,10 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration of the turns that odometry measures, while the robot drives.
+"""Calibration of turns in an unknown unit, while the robot drives.
 
-Each return to an experience closes a loop. The systematic errors of the odometry are estimated
-from the last loops (core/common/rotation_gain.py). Experiences are recognised by several views
-that agree, so that few of these loops are false.
+Each return to an experience closes a loop. From the loops follows the field of view of the camera
+that measures the turns (core/common/rotation_gain.py). Experiences are recognised by several views
+that agree, so that few of these loops are false. Wheels and gyros measure turns in a known unit;
+their small errors are found by relaxation (core/mapping/relaxation.py).
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from ratslam_ros.core.common.rotation_gain import (
     HEADING_SD_RAD,
     is_small_error,
     scale_of_turns,
-    systematic_errors,
 )
 from ratslam_ros.core.common.rows import KeyedRows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
@@ -41,8 +41,8 @@ LEAST_GAIN, LARGEST_GAIN = 0.6, 4.0
 to 200 degrees, if 50 are assumed."""
 
 LEAST_AGREEMENT = 0.5
-"""Smallest agreement of recognitions that closes a loop, relative to the required one, if the unit
-of turns is unknown. Agreement is measured with the odometry that is to be corrected."""
+"""Smallest agreement of recognitions that closes a loop, relative to the required one. It is
+measured with the odometry that is to be corrected."""
 
 NEWEST_VISITS_COUNT = 10
 """A return to one of the experiences visited last is no loop: the robot is still near them."""
@@ -51,12 +51,11 @@ NEWEST_VISITS_COUNT = 10
 class _Visit(NamedTuple):
     """The last visit of an experience.
 
-    ``turn_rad`` and ``length_m``: sums of all motions before it, as measured. ``relative_rad``:
-    heading of the robot minus heading of the view. ``number``: visits before it.
+    ``turn_rad``: sum of all turns before it, as measured. ``relative_rad``: heading of the robot
+    minus heading of the view. ``number``: visits before it.
     """
 
     turn_rad: float
-    length_m: float
     relative_rad: float
     number: float
 
@@ -67,11 +66,10 @@ class OdometryCalibration(Extension, Saved):
     SAVED = (
         Field('correction', 'correction', float, (2,), make=TurnCorrection),
         count('loops', 'loops'),
-        Field('travelled', '_turn_rad _length_m', float, (2,)),
-        Field('visits', '_visits', 'f8', ('', 5)),
+        Field('turned_rad', '_turned_rad', optional=True),
+        Field('visited', '_visits', 'f8', ('', 4), optional=True),
         Field('counts', '_visit_count _loop_count', int, (2,), 0, MAX_COUNT),
-        Field('closed', '_closed', float, ('', 3), make=lambda *loop: loop),
-        Field('scale_known', '_scale_known', bool, optional=True),
+        Field('closed_by', '_closed', float, ('', 2), make=lambda *loop: loop, optional=True),
     )
 
     def __init__(self, correction: TurnCorrection) -> None:
@@ -81,11 +79,13 @@ class OdometryCalibration(Extension, Saved):
         """Correction for the odometry after the last view."""
         self.loops = 0
         """Number of loops that the correction explains, 0 before the first estimate."""
-        self._turn_rad = self._length_m = 0.0
-        self._visits = KeyedRows(1, 5)  # by experience
+        self._turned_rad = 0.0
+        self._visits = KeyedRows(1, 4)  # by experience
         self._visit_count = self._loop_count = 0
-        self._closed: list[tuple[float, float, float]] = []
-        self._scale_known = True
+        self._closed: list[tuple[float, float]] = []
+        """Turns of the loops, and the headings at their ends minus those at their starts."""
+        self._is_unknown = False
+        """Whether the last motion was measured in an unknown unit."""
 
     def restart(self) -> None:
         """Forget where the robot was after an unknown motion, through which no loop leads."""
@@ -93,13 +93,13 @@ class OdometryCalibration(Extension, Saved):
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion, whose turn was corrected by ``correction``."""
-        self._scale_known = motion.scale_known
-        self._turn_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
-        self._length_m += motion.distance_m
+        self._is_unknown = not motion.scale_known
+        if self._is_unknown:
+            self._turned_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
 
     def extended(self, action: MapAction, view: Viewed) -> MapAction:
         """Return an action with the correction, which is renewed if it is due."""
-        if view.is_learning:
+        if view.is_learning and self._is_unknown:
             self._observe(action, view.is_again)
         return replace(action, correction=self.correction)
 
@@ -109,8 +109,7 @@ class OdometryCalibration(Extension, Saved):
         if action.action != 'none':
             self.visit(target_id, action.relative_rad, action.action == 'create')
         # Look-alikes rarely agree as often as is required.
-        least = 1.0 if self._scale_known else LEAST_AGREEMENT
-        if action.agreement >= least and not is_again and (
+        if action.agreement >= LEAST_AGREEMENT and not is_again and (
             recognised_id not in (NO_EXPERIENCE, target_id)
         ):
             self.visit(recognised_id, action.relative_rad, created=False)
@@ -120,7 +119,7 @@ class OdometryCalibration(Extension, Saved):
         number = self._visit_count
         self._visit_count += 1
         is_known = (experience_id,) in self._visits
-        here = _Visit(self._turn_rad, self._length_m, relative_rad, number)
+        here = _Visit(self._turned_rad, relative_rad, number)
         last = _Visit(*self._visits.get(experience_id)) if is_known else here
         self._visits.put((experience_id,), here)
         if created or number - last.number <= NEWEST_VISITS_COUNT:
@@ -130,8 +129,7 @@ class OdometryCalibration(Extension, Saved):
         self._loop_count += 1
         if (self._loop_count - 1) % self._stride == 0:
             self._closed.append((
-                here.turn_rad - last.turn_rad, here.length_m - last.length_m,
-                relative_rad - last.relative_rad,
+                here.turn_rad - last.turn_rad, relative_rad - last.relative_rad
             ))
         is_early = self.loops == 0 and self._loop_count <= 2 * LOOPS_PER_ESTIMATE
         if is_early or self._loop_count % LOOPS_PER_ESTIMATE == 0:
@@ -143,24 +141,21 @@ class OdometryCalibration(Extension, Saved):
         return 1 << (max(self._loop_count - 1, 0) // MAX_LOOPS_COUNT).bit_length()
 
     def _estimate(self) -> None:
-        turns, lengths, differences = np.array(self._closed).T.copy()
+        turns, differences = np.array(self._closed).T.copy()
         configured = self._configured.gain
-        if self._scale_known:
-            estimate = systematic_errors(turns, lengths, differences, configured)
-        else:
-            apart_rad = np.array([abs(wrap(difference)) for difference in differences.tolist()])
-            estimate = scale_of_turns(
-                turns[apart_rad < CONSISTENT_SD * HEADING_SD_RAD],
-                LEAST_GAIN * configured, LARGEST_GAIN * configured,
-            )
-            # Small changes only follow the noise of the latest loops, unless there are more now.
-            if estimate and estimate.loops < 2 * self.loops and is_small_error(
-                estimate.correction.gain / self.correction.gain
-            ):
-                return
-        if estimate is not None:
-            self.correction = estimate.correction
-            self.loops = estimate.loops
+        apart_rad = np.array([abs(wrap(difference)) for difference in differences.tolist()])
+        estimate = scale_of_turns(
+            turns[apart_rad < CONSISTENT_SD * HEADING_SD_RAD],
+            LEAST_GAIN * configured, LARGEST_GAIN * configured,
+        )
+        # Small changes only follow the noise of the latest loops, unless there are more now.
+        if estimate is None or (
+            estimate.loops < 2 * self.loops
+            and is_small_error(estimate.gain / self.correction.gain)
+        ):
+            return
+        self.correction = TurnCorrection(estimate.gain)
+        self.loops = estimate.loops
 
     def summary(self) -> dict[str, float]:
         """Return the correction and the number of loops, for summary.json and diagnostics."""

@@ -12,10 +12,12 @@ import scipy.sparse.linalg
 from graphs import Indices, Reals, dense_step, max_difference, residuals
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 from ratslam_ros.core.mapping import block_elimination
-from ratslam_ros.core.mapping.relaxation import STEP_SHARES, cost, relax
+from ratslam_ros.core.mapping.relaxation import STEP_SHARES, cost, relax, relax_with_turns
 
 
 def random_graph(seed: int, count: int, extra: int) -> tuple[Reals, Indices, Reals]:
@@ -100,6 +102,75 @@ def test_position_of_a_closure_corrects_headings() -> None:
         relax(poses, ends, shapes, weights)
     assert np.hypot(poses[-1, 0] - 40.0, poses[-1, 1]) < 0.5
     assert np.abs(poses[:, 2]).mean() < 0.6 * before_rad
+
+
+def figure_eights(
+    error: TurnCorrection, seed: int
+) -> tuple[Reals, Reals, Indices, Reals, Reals, NDArray[np.bool_]]:
+    """Return three drives along a circle to the left and one to the right, all recognised.
+
+    Returns:
+        True poses, poses by odometry, ends, shapes and weights of the links, and whether each is
+        by odometry.
+    """
+    random, step_m = np.random.default_rng(seed), 0.5
+    turns_rad = np.tile(np.repeat([math.tau / 40, -math.tau / 40], 40), 3)
+    measured_rad = np.array([error.measured(turn, step_m) for turn in turns_rad.tolist()])
+    measured_rad += random.normal(scale=0.002, size=len(measured_rad))
+    shapes = np.c_[np.full(len(measured_rad), step_m), 0.5 * measured_rad, measured_rad]
+    ends = [(n, n + 1) for n in range(len(measured_rad))]
+    again = [(n % 40 if n % 80 < 40 else n % 80, n) for n in range(40, len(ends), 5)]
+    again = [(i, n) for i, n in again if i != n]
+    recognised = np.c_[
+        np.abs(random.normal(scale=0.1, size=len(again))),
+        random.uniform(-math.pi, math.pi, len(again)), random.normal(scale=0.05, size=len(again)),
+    ]
+    driven = np.arange(len(ends) + len(again)) < len(ends)
+    return (
+        chained(turns_rad, step_m), chained(measured_rad, step_m), np.array([*ends, *again]),
+        np.concatenate([shapes, recognised]), np.where(driven[:, None], (1e4, 1e5), (1e2, 4e2)),
+        driven,
+    )
+
+
+def chained(turns_rad: Reals, step_m: float) -> Reals:
+    """Return the poses along arcs of one length."""
+    headings_rad = np.r_[0.0, turns_rad.cumsum()]
+    directions_rad = headings_rad[:-1] + 0.5 * turns_rad
+    way = step_m * np.c_[np.cos(directions_rad), np.sin(directions_rad)]
+    return np.c_[np.r_[np.zeros((1, 2)), way.cumsum(0)], headings_rad]
+
+
+def off_m(poses: Reals, true: Reals) -> float:
+    """Return the mean distance of poses from the true ones; both begin at the same pose."""
+    return float(np.hypot(*(poses - true)[:, :2].T).mean())
+
+
+@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('error', [
+    UNCORRECTED, TurnCorrection(1.03, 0.0), TurnCorrection(0.96, 0.004), TurnCorrection(1.0, -0.01)
+])
+def test_systematic_errors_of_turns_are_found_with_the_poses(
+    error: TurnCorrection, seed: int
+) -> None:
+    true, poses, ends, shapes, weights, driven = figure_eights(error, seed)
+    turns, bent = UNCORRECTED, poses.copy()
+    for _ in range(15):
+        _, _, turns = relax_with_turns(poses, ends, shapes, weights, driven, turns, 1.0)
+        relax(bent, ends, shapes, weights)
+    assert tuple(turns) == pytest.approx(tuple(error), abs=0.003)
+    assert off_m(poses, true) < 0.1
+    assert error == UNCORRECTED or off_m(poses, true) < 0.5 * off_m(bent, true)
+
+
+def test_turns_without_loops_are_not_corrected() -> None:
+    _, poses, ends, shapes, weights, driven = figure_eights(TurnCorrection(1.05, 0.01), 0)
+    before = poses.copy()
+    _, _, turns = relax_with_turns(
+        poses, ends[driven], shapes[driven], weights[driven], driven[driven], UNCORRECTED, 1.0
+    )
+    assert tuple(turns) == pytest.approx(tuple(UNCORRECTED), abs=1e-9)
+    assert max_difference(poses, before) < 1e-6
 
 
 def test_consistent_links_are_met_exactly() -> None:
