@@ -14,17 +14,16 @@ from processes import Commands
 RING = """\
 name: A ring
 cell_m: 0.5
-##############
-#............#
-#.S..........#
-#............#
-#...######...#
-#...######...#
-#...######...#
-#............#
-#............#
-#............#
-##############
+##########
+#........#
+#.S......#
+#........#
+#...##...#
+#...##...#
+#........#
+#........#
+#........#
+##########
 """
 RATES = 4.0, 1.0
 """Speeds in units of real time. On a loaded machine, the robot may miss the goal at four times
@@ -133,8 +132,8 @@ def drive(commands: Commands, plan: Path, rate: float) -> dict[str, Any]:
         'run', 'simulator', '--ros-args', '-p', f'plan:={plan}', '-p', f'rate:={rate}',
         '-p', 'seed:=2', '-p', 'aliasing:=0.0', '-p', 'noise:=0.5', '-p', 'light_change:=0.0',
     )
-    over_s = 480.0 / rate
-    operator = commands.start_python(OPERATOR, '40', '130', '3', str(over_s))
+    over_s = 240.0 / rate
+    operator = commands.start_python(OPERATOR, '5', '40', '1.5', str(over_s))
     out, err = operator.communicate(timeout=over_s + 20.0)
     for process in (robot, nodes):
         process.send_signal(signal.SIGINT)
