@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -31,7 +32,7 @@ from helpers import (
     set_options,
     write_bag,
 )
-from processes import wait_for
+from processes import ROOT, wait_for
 
 from ratslam_ros.cli import main
 from ratslam_ros.files.config import load_config, to_yaml
@@ -222,17 +223,17 @@ with ros.node('invalid_input', ()) as node:
 
 
 def test_live_nodes_build_replay_map_whatever_else_arrives(
-    live: Live, bag: Path, expected: str
+    live: Live, bag: Path, expected: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Twice, with invalid input on every topic at last; then with new pose cells."""
     live.start(*THREE)
     live.play(bag, '--rate', '10')
     assert live.settled_map(expected) == expected, live.logs()
-    answer = live.run(
-        'call', 'experience_map/recall_goal', 'nav_msgs/srv/GetPlan',
-        '{goal: {header: {frame_id: map}, pose: {position: {x: 0.0, y: 0.5}}}, tolerance: 1.0}',
-    )
-    assert answer.count('frame_id: map') > 2
+    monkeypatch.setattr(sys, 'argv', ['goal_client.py', '0.0', '0.5'])
+    runpy.run_path(str(ROOT / 'examples/goal_client.py'), run_name='__main__')
+    route = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert len(route) > 2 and all(len(pose) == 2 for pose in route)
 
     live.play(bag, '--rate', '10', '--duration', '3')
     wait_for(lambda: live.logs().count('starting with an empty memory') == 3)
@@ -302,7 +303,7 @@ sys.exit(run('single_process', sys.argv[1:]))
 
 def test_slow_unconfigured_nodes_map_images_with_stamps_from_zero(tmp_path: Path) -> None:
     """Playing waits for the nodes, which run with a stage of the user."""
-    own = '--stage', f'{Path(__file__).parents[1]}/own_counters.py:Brightness'
+    own = '--stage', f'{ROOT}/test/own_counters.py:Brightness'
     folder, files = tmp_path / 'images', (tmp_path / 'replayed.map', tmp_path / 'live.map')
     folder.mkdir()
     for n in range(60):

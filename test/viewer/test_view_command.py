@@ -109,13 +109,6 @@ def test_recording_without_images_is_refused_before_the_page(
     assert 'holds no images' in refusal('replay', str(bag), '--view', *QUIET)
 
 
-def test_failing_replay_ends_in_one_line(view: Start, recording: Any) -> None:
-    started = view('view', str(recording.recording), '--start', '1000', *QUIET)
-    assert started.wait() == 2
-    (line,) = started.errors
-    assert 'the start at 1000 s is outside' in line
-
-
 def test_options_of_replay_are_refused_for_results(refusal: Refusal, results: Path) -> None:
     line = refusal('view', str(results), '--set', 'local_view.vt_shift_match=2', *QUIET)
     assert '--set has no effect' in line
@@ -144,7 +137,7 @@ def test_another_replay_has_its_settings_and_its_own_folder(
     recording: Any, tmp_path: Path
 ) -> None:
     replays = _Replays(
-        ['replay', str(recording.recording), '--quiet', '--duration=5'], tmp_path / 'run', 'demo',
+        ['replay', str(recording.recording), '--quiet', '--duration=2'], tmp_path / 'run', 'demo',
         False, None,
     )
     first = replays.start()
@@ -164,6 +157,16 @@ def test_another_replay_has_its_settings_and_its_own_folder(
     assert opened.title == second.title
     assert opened.end_ns > opened.begin_ns > 0
     assert not opened.is_growing
+
+
+def test_failing_replay_ends_in_one_line(
+    viser: Any, signals: None, recording: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(['view', str(recording.recording), '--start', '1000', *QUIET]) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert 'the start at 1000 s is outside' in line
 
 
 def test_reason_of_failed_replay_is_a_notice(tmp_path: Path) -> None:
