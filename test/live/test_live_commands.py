@@ -31,18 +31,6 @@ def test_arguments_after_ros_args_are_for_ros() -> None:
     assert parser().parse_args(['play', 'bag']).ros_args == []
 
 
-def test_launch_options_are_parsed() -> None:
-    options = parser().parse_args(
-        [
-            'launch', '--config', 'irat', '--set', 'local_view.vt_shift_match=3',
-            '--split', '--odometry', 'auto', '--use-sim-time', '--namespace', 'a',
-            '--image-topic', '/i', '--odom-topic', '/o', '--log-level', 'debug',
-        ]
-    )
-    assert (options.namespace, options.image_topic, options.odom_topic) == ('a', '/i', '/o')
-    assert options.split and options.odometry == 'auto' and options.use_sim_time
-
-
 @pytest.mark.parametrize(
     ('words', 'parts'),
     [

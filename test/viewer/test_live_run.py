@@ -35,7 +35,7 @@ from ratslam_ros.history.records import (
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer import live_run
 from ratslam_ros.viewer.live_history import MapRelay
-from ratslam_ros.viewer.live_run import HOLD_NS, LiveRun
+from ratslam_ros.viewer.live_run import LiveRun
 
 TENTH_NS = 100_000_000
 
@@ -98,22 +98,6 @@ def released(run: LiveRun, clock: Clock) -> None:
     history._writer.configure = flush  # type: ignore[method-assign]
     history.configure('')  # The thread that writes gets this after all records.
     assert is_written.wait(20.0), history.problem
-
-
-def test_records_of_slow_topics_get_their_place(run: LiveRun, clock: Clock) -> None:
-    rng = random.Random(1)
-    arrivals = [(k * TENTH_NS, pose(k)) for k in range(100)]
-    arrivals += [
-        (k * TENTH_NS + rng.randrange(HOLD_NS - TENTH_NS), view(k)) for k in range(0, 100, 5)
-    ]
-    for _, record in sorted(arrivals, key=lambda arrival: arrival[0]):
-        run.add(record)
-    released(run, clock)
-    found = [record.stamp_ns for record in run._tail]
-    assert found == sorted(record.stamp_ns for _, record in arrivals)
-    state = run.seek(START_NS + 52 * TENTH_NS)
-    assert state.view == view(50)
-    assert state.pose == pose(52)
 
 
 def test_reader_that_follows_gets_every_record_once(run: LiveRun, clock: Clock) -> None:
@@ -244,14 +228,14 @@ def test_seek_behind_the_tail_reads_the_history(
     run: LiveRun, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = LiveRun('all in memory', clock=clock)
-    drive(whole, 1500)
+    drive(whole, 600)
     released(whole, clock)
-    monkeypatch.setattr(live_run, 'MAX_TAIL', 1200)  # 40 s of three records at 10 Hz
-    drive(run, 1500)
-    assert len(run._tail) < 2500
+    monkeypatch.setattr(live_run, 'MAX_TAIL', 480)  # 16 s of three records at 10 Hz
+    drive(run, 600)
+    assert len(run._tail) < 1000
     released(run, clock)
     assert whole.end_ns == run.end_ns
-    for k in (0, 100, 700, 1100, 1250, 1490, 1499):
+    for k in (0, 100, 430, 590, 599):
         at_ns = START_NS + k * TENTH_NS
         found = run.seek(at_ns)
         assert_same_view(found, whole.seek(at_ns))

@@ -184,10 +184,8 @@ def test_large_map_is_thinned_and_says_so(drawing) -> None:
     assert drawn == 167
 
 
-@pytest.mark.parametrize('dark', [False, True])
-def test_colourings_and_themes_change_colours(drawing, dark) -> None:
+def test_colourings_change_colours(drawing) -> None:
     state = SyntheticRun(100).state()
-    drawing.scene.dark = dark
     seen = set()
     for name in COLOURINGS:
         drawing.scene.colouring = name
