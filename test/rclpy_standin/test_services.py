@@ -1,7 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Services and clients in one process and in several processes."""
-import time
 
 import pytest
 from nav_msgs.srv import GetPlan
@@ -25,14 +24,6 @@ def test_client_receives_response_to_each_request(ros) -> None:
     response = ros.call(client, SetBool.Request(data=False))
     assert (response.success, response.message) == (False, 'False')
     assert client.srv_name == 'echo'
-
-
-def test_wait_for_service_without_server_times_out(ros) -> None:
-    client = ros.node().create_client(Trigger, 'missing')
-    assert not client.service_is_ready()
-    start_s = time.monotonic()
-    assert not client.wait_for_service(timeout_sec=0.3)
-    assert time.monotonic() - start_s < 5.0
 
 
 def test_service_with_nested_messages_returns_response(ros) -> None:
@@ -97,24 +88,6 @@ def test_clients_in_two_processes_receive_their_own_responses(ros, start_process
         assert ros.call(client, SetBool.Request(data=number % 2 == 0)).success == (number % 2 == 0)
     out, err = caller.communicate()
     assert (caller.returncode, out.strip()) == (0, 'done'), err
-
-
-SERVE = """
-import rclpy
-from std_srvs.srv import Trigger
-rclpy.init(args=[])
-node = rclpy.create_node('server')
-node.create_service(Trigger, 'there', lambda q, r: Trigger.Response(success=True, message='ü'))
-rclpy.spin(node)
-"""
-
-
-def test_server_in_another_process_responds(ros, start_process) -> None:
-    client = ros.node().create_client(Trigger, 'there')
-    server = start_process(SERVE)
-    assert ros.call(client, Trigger.Request()) == Trigger.Response(success=True, message='ü')
-    server.kill()
-    server.wait()
 
 
 def test_request_of_wrong_type_is_rejected(ros) -> None:

@@ -55,30 +55,6 @@ def test_messages_arrive_in_order_with_every_qos(ros, reliable, transient_local,
     assert publisher.topic_name == subscription.topic_name == '/chat'
 
 
-ECHO = """
-import rclpy
-from std_msgs.msg import String
-rclpy.init(args=[])
-node = rclpy.create_node('echo')
-publisher = node.create_publisher(String, 'back', 10)
-node.create_subscription(String, 'there', lambda m: publisher.publish(String(data=m.data * 2)), 10)
-rclpy.spin(node)
-"""
-
-
-def test_two_processes_exchange_messages_in_both_directions(ros, start_process) -> None:
-    node, received = ros.node(), []
-    publisher = node.create_publisher(String, 'there', 10)
-    subscription = node.create_subscription(
-        String, 'back', lambda msg: received.append(msg.data), 10
-    )
-    start_process(ECHO)
-    ros.until(lambda: publisher.get_subscription_count())
-    ros.until(lambda: subscription.get_publisher_count())
-    publisher.publish(String(data='ab'))
-    ros.until(lambda: received == ['abab'])
-
-
 def test_late_subscription_receives_last_transient_local_messages(ros) -> None:
     qos = profile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node, received, volatile = ros.node(), [], []

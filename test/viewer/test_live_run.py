@@ -125,19 +125,6 @@ def test_reader_that_follows_gets_every_record_once(run: LiveRun, clock: Clock) 
     assert {r.target_id for r in applied if isinstance(r, ViewRecord)} == set(range(200))
 
 
-def test_seek_and_advance_reach_the_same_state(run: LiveRun, clock: Clock) -> None:
-    for k in range(100):
-        run.add(pose(k))
-        run.add(view(k, target_id=k % 7, action='create' if k < 7 else 'link'))
-    released(run, clock)
-    at_ns = START_NS + 80 * TENTH_NS
-    sought, advanced = run.seek(at_ns), run.seek(START_NS + 10 * TENTH_NS)
-    run.advance(advanced, at_ns)
-    assert sought.view == advanced.view == view(80, 80 % 7, 'link')
-    assert np.array_equal(sought.trail.points_m, advanced.trail.points_m)
-    assert np.array_equal(sought.visits.counts, advanced.visits.counts)
-
-
 def test_latched_records_do_not_begin_the_run(run: LiveRun, clock: Clock) -> None:
     """A status from an hour ago is shown, but the run does not begin an hour ago."""
     run.add(StatusRecord(START_NS - 3600 * NS_PER_S, 'idle'))
@@ -312,18 +299,6 @@ def named_links(state: RunState) -> set[tuple[object, ...]]:
         (*ends, *rows.shapes[n], rows.counts[n], rows.behaviours[n])
         for n, ends in enumerate(rows.ends.tolist()) if ends[0] >= 0
     }
-
-
-def test_closures_are_those_of_the_shown_moment(run: LiveRun, clock: Clock) -> None:
-    for k in range(100):
-        run.add(view(k, k % 50, 'create' if k < 50 else 'link', reason='' if k % 7 else 'too far'))
-    clock.now_s += 10.0
-    expected = [
-        START_NS + k * TENTH_NS for k in range(100) if k % 7 == 0 or 50 <= k < 90
-    ]
-    for until_ns in run.end_ns, START_NS + 60 * TENTH_NS:
-        found = [one.stamp_ns for one in run.seek(until_ns).closures]
-        assert found == [stamp_ns for stamp_ns in expected if stamp_ns <= until_ns]
 
 
 def test_questions_about_views(run: LiveRun, clock: Clock) -> None:

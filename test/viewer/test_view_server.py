@@ -245,11 +245,6 @@ def test_stop_ends_silent_connections(viser: Any) -> None:
     idle.close()
 
 
-def test_start_prints_nothing(viser: Any, capfd: pytest.CaptureFixture[str]) -> None:
-    ViewServer(port=0).stop()
-    assert capfd.readouterr() == ('', '')
-
-
 def test_connections_beyond_limit_close_the_oldest(server: ViewServer) -> None:
     with ExitStack() as stack:
         opened = [
@@ -272,14 +267,6 @@ def test_connection_without_complete_request_is_closed(
             assert silent.recv(1) == b''
     finally:
         one.stop()
-
-
-def test_page_is_served_beside_connections_that_send_nothing(server: ViewServer) -> None:
-    with ExitStack() as stack:
-        for _ in range(MAX_CONNECTIONS):
-            silent = socket.create_connection(('127.0.0.1', server.port))
-            stack.enter_context(silent)
-        assert get(server, page_of(server))[0] == OK
 
 
 def test_open_page_is_kept_when_others_connect(server: ViewServer) -> None:
