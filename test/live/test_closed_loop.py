@@ -31,6 +31,9 @@ cell_m: 0.5
 RATES = 4.0, 1.0
 """Speeds in units of real time. On a loaded machine, the robot may miss the goal at four times
 real time; then it has to reach it in real time."""
+OVER_S = 240.0
+"""Limit in real time: a loaded machine does not reach the rates."""
+
 NODES = ('local_view', 'pose_cells', 'experience_map', 'goal_follower')
 
 def test_exploring_robot_drives_to_named_goal(
@@ -71,7 +74,7 @@ def drive(commands: Commands, plan: Path, rate: float) -> dict[str, Any]:
         'run', 'simulator', '--ros-args', '-p', f'plan:={plan}', '-p', f'rate:={rate}',
         '-p', 'seed:=2', '-p', 'aliasing:=0.0', '-p', 'noise:=0.5', '-p', 'light_change:=0.0',
     )
-    result = operate(240.0 / rate)
+    result = operate(OVER_S)
     for process in (robot, nodes):
         process.send_signal(signal.SIGINT)
         assert process.wait(20.0) == 0
