@@ -139,7 +139,7 @@ def test_viewer_records_without_a_browser_if_asked(
     with ros.node('robot', ()) as node:
         topic = 'experience_map/pose_with_covariance'
         pose = node.create_publisher(PoseWithCovarianceStamped, topic, STATE)
-        wait_for(pose.get_subscription_count, 30.0)
+        wait_for(pose.get_subscription_count)
         for k in range(10):
             pose.publish(PoseWithCovarianceStamped(header=header_of(10**18 + k * 10**8, 'map')))
             time.sleep(0.11)
