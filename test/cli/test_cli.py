@@ -80,10 +80,8 @@ def results(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_replay_without_configuration_is_inspected(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    extra = ['--set', 'pose_cells.pc_dim_x=31']
-    for arguments, count in (
-        ([], 3), (['--no-inspect'], 0), (['--config', 'default'], 0), (['--quiet'], 0)
-    ):
+    extra = ['--set', 'pose_cells.pc_dim_x=31', '--duration', '2']
+    for arguments, count in ([], 3), (['--no-inspect'], 0), (['--config', 'default'], 0):
         words = ['replay', str(bag), *SIZES, *extra, *arguments, '--out', 'out', '--overwrite']
         assert main(words) == 0
         lines = capfd.readouterr().err.splitlines()
@@ -97,12 +95,6 @@ def test_replay_with_its_config_gives_the_same_files(results: Path, bag: Path, h
     assert main(['replay', str(bag), '--config', config, '--out', 'out', '--quiet']) == 0
     for name in ('map.json', 'frames.csv', 'trajectory_final.tum', 'config.yaml'):
         assert (here / 'out' / name).read_bytes() == (results / name).read_bytes()
-
-
-def test_replay_writes_all_files(results: Path) -> None:
-    assert sorted(path.name for path in results.iterdir()) == WRITTEN
-    for picture in ('map.png', 'matches.png'):
-        assert (results / picture).read_bytes().startswith(b'\x89PNG')
 
 
 def test_replay_as_module_gives_same_results(bag: Path, results: Path, here: Path) -> None:
@@ -128,6 +120,8 @@ def test_quiet_replay_is_linked_as_latest_and_prints_nothing(
     assert folder.name.startswith('circles-')
     assert (here / 'results' / 'latest').resolve() == folder
     assert sorted(path.name for path in folder.iterdir()) == WRITTEN
+    for picture in ('map.png', 'matches.png'):
+        assert (folder / picture).read_bytes().startswith(b'\x89PNG')
 
 
 @pytest.mark.usefixtures('undrawn')
@@ -145,20 +139,17 @@ def test_replay_with_truth_prints_errors(
 
 
 @pytest.mark.parametrize(('extra', 'hint'), [
-    (['--set', 'local_view.nonsense=1'], 'nonsense'),
     (['--set', 'local_view.vt_match_treshold=0.1'], 'vt_match_threshold'),
     (['--set', 'local_view.vt_match_threshold=7'], '0 to 1'),
     (['--set', 'local_view.vt_match_threshold'], 'section.name=value'),
     (['--set', 'pose_cells.pc_w_e_dim=6'], 'odd'),
     (['--config', 'no_such_preset'], 'no such file or preset'),
     (['--image-topic', '/nowhere'], '/nowhere'),
-    (['--odom-topic', '/nowhere'], '/nowhere'),
     (['--image-topic', ODOM_TOPIC], ODOM_TOPIC),
     (['--odom-topic', ODOM_TOPIC, '--visual-odometry'], '--visual-odometry'),
     (['--truth', 'no_such_file.tum'], 'no_such_file.tum'),
     (['--start', '1000'], '1000'),
     (['--duration', '0'], 'duration'),
-    (['--start', 'soon'], 'soon'),
     (['--nonsense'], '--nonsense'),
 ], ids=' '.join)
 def test_invalid_option_is_reported_in_one_line(
@@ -168,17 +159,16 @@ def test_invalid_option_is_reported_in_one_line(
     assert not (here / 'out').exists()
 
 
-@pytest.mark.parametrize('words', [SMALL, SIZES])
 def test_crop_outside_image_is_reported_in_one_line(
-    bag: Path, here: Path, refusal: Refusal, words: list[str]
+    bag: Path, here: Path, refusal: Refusal
 ) -> None:
     setting = 'local_view.image_crop_x_max=1000'
-    line = refusal('replay', str(bag), *words, '--set', setting, '--out', 'out')
+    line = refusal('replay', str(bag), *SIZES, '--set', setting, '--out', 'out')
     assert 'local_view.image_crop' in line
     assert '32 x 24 px' in line
 
 
-@pytest.mark.parametrize('command', ['replay', 'tune', 'info', 'play'])
+@pytest.mark.parametrize('command', ['replay', 'play'])
 def test_unknown_option_names_help_of_its_command(
     here: Path, refusal: Refusal, command: str
 ) -> None:
@@ -192,7 +182,7 @@ def test_missing_recording_is_reported_in_one_line(here: Path, refusal: Refusal)
         assert 'no_such_bag' in refusal(command, 'no_such_bag')
 
 
-@pytest.mark.parametrize('text', ['', 'x y\n', '1 2 3\n', '\x00\x01\x02'])
+@pytest.mark.parametrize('text', ['', '1 2 3\n', '\x00\x01\x02'])
 def test_invalid_truth_is_reported_before_replay(
     bag: Path, here: Path, refusal: Refusal, text: str
 ) -> None:
@@ -235,10 +225,8 @@ def test_unwritable_output_is_reported_in_one_line(
     assert '--out' in refusal(*arguments)
 
 
-def test_tune_and_demo_report_unwritable_output(here: Path, refusal: Refusal) -> None:
+def test_demo_reports_unwritable_output(here: Path, refusal: Refusal) -> None:
     (here / 'file').write_text('')
-    bag = write_bag(here / 'circles', circles(5, 20))  # long enough for tune
-    assert '--out' in refusal('tune', str(bag), *SMALL, '--out', 'file')
     assert '--out' in refusal('demo', '--out', 'file/below')
 
 
@@ -358,7 +346,7 @@ def test_evaluate_prints_text_or_json(
     assert main(['evaluate', *files, '--plot', 'error.png']) == 0
     assert (here / 'error.png').is_file()
     assert 'ATE' in capfd.readouterr().out
-    assert main(['evaluate', *files, '--plot', 'error.png', '--json']) == 0
+    assert main(['evaluate', *files, '--json']) == 0
     assert isinstance(json.loads(capfd.readouterr().out), dict)
 
 
@@ -372,15 +360,18 @@ def test_evaluate_replaces_no_trajectory(
     assert Path(name).read_bytes() == (results / 'trajectory.tum').read_bytes()
 
 
-@pytest.mark.parametrize('name', ['matches.png', 'map.png'])
 def test_plot_draws_identical_plots(
-    results: Path, here: Path, capfd: pytest.CaptureFixture[str], name: str
+    results: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(results, here / 'copy')
-    (here / 'copy' / name).unlink()
+    names = 'matches.png', 'map.png'
+    for name in names:
+        (here / 'copy' / name).unlink()
     assert main(['plot', 'copy']) == 0
-    assert name in capfd.readouterr().out
-    assert (here / 'copy' / name).read_bytes() == (results / name).read_bytes()
+    printed = capfd.readouterr().out
+    for name in names:
+        assert name in printed
+        assert (here / 'copy' / name).read_bytes() == (results / name).read_bytes()
 
 
 def test_version_and_help(capfd: pytest.CaptureFixture[str]) -> None:
@@ -458,10 +449,9 @@ def test_earlier_results_stay_unless_overwritten(
     shutil.copytree(results, here / 'out')
     before = (here / 'out' / 'summary.json').read_bytes()
     words = ['replay', str(bag), *SMALL, '--out', 'out', '--quiet']
-    for number in (2, 3):
-        assert main(words) == 0
-        assert f'out-{number}' in capfd.readouterr().err
-        assert sorted(path.name for path in (here / f'out-{number}').iterdir()) == WRITTEN
+    assert main(words) == 0
+    assert 'out-2' in capfd.readouterr().err
+    assert sorted(path.name for path in (here / 'out-2').iterdir()) == WRITTEN
     assert (here / 'out' / 'summary.json').read_bytes() == before
     assert main([*words, '--overwrite']) == 0
     assert (here / 'out' / 'summary.json').read_bytes() != before
@@ -502,7 +492,7 @@ def test_demo_shows_every_phase_with_remaining_time(
     here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(console, 'is_terminal', lambda: True)
-    monkeypatch.setattr(demo, 'write_recording', partial(write_recording, duration_s=20.0))
+    monkeypatch.setattr(demo, 'write_recording', partial(write_recording, duration_s=10.0))
     assert main(['demo', '--out', 'out']) == 0
     out, err = capfd.readouterr()
     assert 'look-alike' not in out  # computing their share took half of the time
@@ -511,8 +501,6 @@ def test_demo_shows_every_phase_with_remaining_time(
     assert found == sorted(found)
     for phase in phases[1:4]:
         assert re.search(rf'{phase}.*left', err)
-    assert main(['demo', '--out', 'out', '--overwrite', '--quiet']) == 0
-    assert 'written to' not in capfd.readouterr().err
 
 
 def test_missing_package_is_named_in_one_line(tmp_path: Path) -> None:

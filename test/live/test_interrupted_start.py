@@ -76,7 +76,7 @@ def started(source: str, *arguments: str) -> tuple[int, str]:
     return done.returncode, done.stdout
 
 
-@pytest.mark.parametrize('module', ['numpy', 'numba', 'numba.np.arraymath'])
+@pytest.mark.parametrize('module', ['numpy', 'numba.np.arraymath'])
 def test_interrupted_import_ends_node(ros: None, module: str) -> None:
     assert started(START_SOURCE, module) == (0, '')
 

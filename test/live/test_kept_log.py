@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +18,6 @@ from test_live_nodes import SMALL, Live, ratslam
 from ratslam_ros.cli import main
 from ratslam_ros.maps import read_map
 from ratslam_ros.maps.kept_log import kept_runs
-from ratslam_ros.offline.replay_log import mapping_runs
 
 
 def late_circles() -> Iterator[Recorded]:
@@ -43,18 +41,14 @@ def set_parameter(live: Live, node: str, name: str, value: float) -> None:
     assert 'successful: true' in answer
 
 
-def disturb(live: Live, killed: str) -> None:
-    """Change a parameter, pause, reset, load a map or kill the nodes, while a drive plays."""
+def disturb(live: Live) -> None:
+    """Save, change a parameter, pause, load a map and reset, while a drive plays."""
     live.run('echo', 'ratslam/cut', '--once', '--field', 'data', '--timeout', '20')
     live.run('call', 'pose_cells/save', 'std_srvs/srv/Trigger')
     set_parameter(live, 'pose_cells', 'vt_active_decay', 2.5)
     live.run('call', 'local_view/pause', 'std_srvs/srv/SetBool', '{data: true}')
     live.run('call', 'local_view/pause', 'std_srvs/srv/SetBool', '{data: false}')
-    if killed:
-        live.stop(killed, number=signal.SIGKILL)
-        live.start(killed)
-    else:
-        live.run('call', 'pose_cells/load', 'std_srvs/srv/Trigger')
+    live.run('call', 'pose_cells/load', 'std_srvs/srv/Trigger')
     live.run('call', 'pose_cells/reset', 'std_srvs/srv/Trigger')
     live.run('call', 'experience_map/mapping', 'std_srvs/srv/SetBool', '{data: false}')
     live.run('call', 'experience_map/mapping', 'std_srvs/srv/SetBool', '{data: true}')
@@ -72,22 +66,10 @@ def check_poses(published: Path, replayed: Path) -> None:
         assert expected[at] == [f'{place["x"]:.9f}', f'{place["y"]:.9f}']
 
 
-def kept_names(path: Path) -> list[str]:
-    return [one.name for one in kept_runs(path)[0].folder.iterdir()]
-
-
-SPLIT = {
-    'local_view': ['--followed'], 'pose_cells': ['--follows', 'local_view', '--followed'],
-    'experience_map': ['--follows', 'pose_cells'],
-}
-
-
-@pytest.mark.parametrize('killed', ['', 'single_process', 'pose_cells'])
 def test_replay_of_the_log_repeats_the_run_exactly(
-    bag: Path, tmp_path: Path, killed: str, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A process of a split is killed, too."""
-    nodes = [*SPLIT] if killed in SPLIT else ['single_process']
+    """That of nodes which are killed: test_map_restart.py."""
     path = tmp_path / 'office.map'
     settings: dict[str, Any] = {
         **SMALL, 'inputs.max_lateness_s': 0.3, 'memory.map': str(path), 'memory.keep_log': True,
@@ -95,21 +77,17 @@ def test_replay_of_the_log_repeats_the_run_exactly(
     }
     out, poses, late = tmp_path / 'out', tmp_path / 'poses', 0
     with Live(tmp_path / 'live', settings) as live:
-        live.arguments = SPLIT
-        for run in range(1 if killed else 2):  # the second one continues the map
-            live.start(*nodes)
+        for run in range(2):  # the second one continues the map
+            live.start('single_process')
             with poses.open('wb') as file:
                 live.processes['echo'] = subprocess.Popen(
                     ratslam('echo', 'experience_map/pose'), env=live.environment, stdout=file
                 )
-            player = subprocess.Popen(
-                ratslam('play', str(bag), '--quiet', '--rate', '4' if run else '1'),
-                env=live.environment, cwd=live.folder,
-            )
+            live.begin('play', 'play', str(bag), '--quiet', '--rate', '4' if run else '1')
             if not run:
-                disturb(live, killed)
-            assert player.wait(120.0) == 0, live.logs()
-            assert set(live.stop(*nodes).values()) == {0}, live.logs()
+                disturb(live)
+            assert live.processes.pop('play').wait(120.0) == 0, live.logs()
+            assert live.stop('single_process') == {'single_process': 0}, live.logs()
             live.stop('echo')
             assert main(['replay', str(path), '--log', '--out', str(out), '--overwrite']) == 0
             assert 'reproduced, byte for byte' in capsys.readouterr().out
@@ -117,18 +95,16 @@ def test_replay_of_the_log_repeats_the_run_exactly(
             summary = json.loads((out / 'summary.json').read_text())
             late += summary['late']
             assert summary['templates'] > 10 or run  # then all are known
-            if len(nodes) == 1:
-                check_poses(poses, out / 'trajectory_live.tum')
-    assert late > 0 or killed  # the restarted process may get them all in order
+            check_poses(poses, out / 'trajectory_live.tum')
+    assert late > 0
     assert main(['map', 'export', str(path), '--format', 'json']) == 0
     assert capsys.readouterr().out == (out / 'map.json').read_text()
-    first, *second = mapping_runs(path) if killed in SPLIT else kept_runs(path)
+    first, second = kept_runs(path)
+    assert second.beginning.cut_ns is not None
     found = first.described()
-    kept = [name for name in kept_names(path) if '-' in name]
-    assert len(kept) == (0 if killed else 1)  # the state that was loaded
     assert found['has_ended'] and found['inputs'] > 300 and found['bytes'] > 40_000
-    begun = [one.beginning.cut_ns is not None for one in second]
-    assert begun == {'': [True], 'single_process': [], 'pose_cells': [False, False]}[killed]
+    # The state that was loaded.
+    assert [one.name for one in first.folder.iterdir() if '-' in one.name]
     assert main(['map', 'drop-log', str(path)]) == 0
     assert 'of kept logs removed' in capsys.readouterr().out
     assert main(['replay', str(path), '--log', '--out', str(out)]) == 2

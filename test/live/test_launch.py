@@ -118,10 +118,6 @@ def given(*arguments: str) -> argparse.Namespace:
     return parser().parse_args(['launch', *arguments])
 
 
-def test_default_arguments_are_parameters_only() -> None:
-    assert ros_arguments(given(), FILE) == ['--params-file', str(FILE)]
-
-
 def test_all_options_are_passed_to_nodes() -> None:
     options = given(
         '--use-sim-time', '--namespace', 'robot', '--image-topic', '/cam/image_raw',
@@ -231,12 +227,6 @@ def test_process_that_ends_is_named_and_stops_others(tmp_path: Path, capfd) -> N
     a = child(tmp_path / 'a', STOPS)
     assert supervise({'a': a, 'b': python('raise SystemExit(3)')}) == 1
     assert 'b ended with code 3; stopping a' in capfd.readouterr().err
-
-
-def test_killed_process_is_named_with_its_signal(tmp_path: Path, capfd) -> None:
-    code = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
-    assert supervise({'a': python(code), 'b': child(tmp_path / 'b', STOPS)}) == 1
-    assert 'a was ended by SIGKILL; stopping b' in capfd.readouterr().err
 
 
 def failing(times: int, failure: str, ready: Path, reports: Path) -> list[str]:

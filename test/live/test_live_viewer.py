@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -91,7 +91,7 @@ def start(commands: Commands, log: Path, *words: str) -> subprocess.Popen[str]:
 
 
 def test_map_is_that_of_a_replay_with_the_view_open(
-    commands: Commands, tmp_path: Path, page: list[Page]
+    commands: Commands, here, tmp_path: Path, page: list[Page]
 ) -> None:
     bag = write_bag(tmp_path / 'circles', list(circles(2, 20)))
     out = tmp_path / 'replay'
@@ -107,31 +107,42 @@ def test_map_is_that_of_a_replay_with_the_view_open(
     lines_until(nodes, log, r'(?s)(?:ready.*){4}')
     page.append(Page(url))
     wait_for(lambda: page[0].received > 0)
-    code, _, err = commands.run('play', str(bag), '--rate', '4', '--lockstep', '--quiet')
+    code, _, err = here('play', str(bag), '--rate', '4', '--lockstep', '--quiet')
     assert code == 0, err
     found = ''
     end_s = time.monotonic() + 30.0
     while found != expected and time.monotonic() < end_s:
-        code, found, err = commands.run(
-            'echo', 'experience_map/map', '--once', '--field', 'data', '--timeout', '10'
-        )
+        words = 'experience_map/map', '--once', '--field', 'data', '--timeout', '10'
+        code, found, err = here('echo', *words)
         found = found.rstrip('\n')
     assert found == expected, log.read_text()
-    assert page[0].received > 10
+    wait_for(lambda: page[0].received > 10)
     nodes.send_signal(signal.SIGINT)
     assert nodes.wait(20.0) == 0, log.read_text()
     assert 'Traceback' not in log.read_text()
 
 
-def test_viewer_records_without_a_browser_if_asked(commands: Commands, tmp_path: Path) -> None:
+def test_viewer_records_without_a_browser_if_asked(
+    commands: Commands, here, tmp_path: Path
+) -> None:
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+
+    from ratslam_ros.live import ros
+    from ratslam_ros.ros.convert import header_of
+    from ratslam_ros.ros.qos import STATE
+
     log, kept = tmp_path / 'viewer.log', tmp_path / 'kept.sqlite'
     viewer = start(
         commands, log, 'run', 'viewer', '--ros-args', '-p', 'port:=0', '-p',
         'open_browser:=false', '-p', f'history_file:={kept}',
     )
-    robot = commands.start_python(POSES)
-    _, err = robot.communicate(timeout=60.0)
-    assert robot.returncode == 0, err
+    with ros.node('robot', ()) as node:
+        topic = 'experience_map/pose_with_covariance'
+        pose = node.create_publisher(PoseWithCovarianceStamped, topic, STATE)
+        wait_for(pose.get_subscription_count)
+        for k in range(10):
+            pose.publish(PoseWithCovarianceStamped(header=header_of(10**18 + k * 10**8, 'map')))
+            time.sleep(0.11)
     viewer.send_signal(signal.SIGINT)
     assert viewer.wait(20.0) == 0, log.read_text()
     history = HistoryRun(kept)
@@ -139,31 +150,8 @@ def test_viewer_records_without_a_browser_if_asked(commands: Commands, tmp_path:
     assert history.seek(history.end_ns).pose is not None
 
 
-POSES = """
-import time
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from ratslam_ros.ros.convert import header_of
-from ratslam_ros.ros.qos import STATE
-with ros.node('robot', ()) as node:
-    topic = 'experience_map/pose_with_covariance'
-    pose = node.create_publisher(PoseWithCovarianceStamped, topic, STATE)
-    print('started', flush=True)
-    end_s = time.monotonic() + 30.0
-    while pose.get_subscription_count() < 1:
-        assert time.monotonic() < end_s
-        time.sleep(0.05)
-    for k in range(10):
-        pose.publish(PoseWithCovarianceStamped(header=header_of(10**18 + k * 10**8, 'map')))
-        time.sleep(0.11)
-"""
-
-
-def test_missing_package_is_named_with_the_command(commands: Commands, tmp_path: Path) -> None:
-    """A module of the name viser that cannot be imported stands for a missing package."""
-    (tmp_path / 'viser.py').write_text('raise ImportError("no viser here")')
-    path = commands.environment['PYTHONPATH']
-    commands.environment['PYTHONPATH'] = f'{tmp_path}:{path}'
-    code, _, err = commands.run('run', 'viewer')
-    assert code == 2
-    assert "pip install '.[view]'" in err
-    assert 'Traceback' not in err
+def test_missing_package_is_named_with_the_command(
+    ros: None, refusal: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, 'viser', None)
+    assert 'the live view needs viser' in refusal('run', 'viewer')

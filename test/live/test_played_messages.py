@@ -3,16 +3,14 @@
 """Messages of events: a node reads the same values as an offline replay."""
 
 import struct
-from pathlib import Path
 from random import Random
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, image_message, odometry_message, write_bag
+from helpers import START_NS, image_message
 
-from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.images import EncodedImage, Frame, RawImage, image_of
@@ -23,7 +21,6 @@ from ratslam_ros.recordings import (
     Orientation,
     ScanEvent,
     TemplateEvent,
-    open_recording,
 )
 
 pytestmark = pytest.mark.usefixtures('ros')
@@ -95,49 +92,20 @@ def bits(*values: float) -> bytes:
     return struct.pack(f'{len(values)}d', *values)
 
 
-@pytest.mark.parametrize('seed', range(5))
-def test_odometry_is_received_without_loss(seed: int) -> None:
+def test_odometry_is_received_without_loss_and_as_a_replay_reads_it() -> None:
     from ratslam_ros.ros.convert import odometry_of
 
-    chance = Random(seed)
+    chance = Random(1)
     for _ in range(500):
         *motion, sideways = [chance.uniform(-1e3, 1e3) for _ in range(5)]
         turn = Orientation(*(chance.uniform(-1.0, 1.0) for _ in range(4)))
         sent = OdometryEvent(START_NS, START_NS, *motion, turn, sideways)
         got = odometry_of(message_of(sent))
+        assert got == odometry_from_event(sent)
         assert got.stamp_ns == START_NS
         assert bits(*got.twist, *got.pose) == bits(
             *motion[:2], sideways, *motion[2:], sent.heading_rad
         )
-
-
-def test_odometry_of_bag_and_table_is_same_live(tmp_path: Path) -> None:
-    from ratslam_ros.ros.convert import odometry_of
-
-    chance = Random(7)
-    table = ['image,stamp_ns,linear_x_mps,angular_z_radps']
-    messages = []
-    for i in range(100):
-        stamp_ns = START_NS + i * PERIOD_NS
-        speed, turn_rate = chance.uniform(-1.0, 1.0), chance.uniform(-9.0, 9.0)
-        table.append(f'{"0.png" if i == 0 else ""},{stamp_ns},{speed!r},{turn_rate!r}')
-        pose = Pose(speed, turn_rate, chance.uniform(-3.2, 3.2))
-        odometry = odometry_message(stamp_ns, speed, turn_rate, pose)
-        messages.append((stamp_ns, '/odom', 'odometry', odometry))
-    pixels = np.zeros((4, 4), np.uint8)
-    messages.append((START_NS, '/image', 'image', image_message(START_NS, pixels)))
-    folder = tmp_path / 'folder'
-    folder.mkdir()
-    cv2.imwrite(str(folder / '0.png'), pixels)
-    (folder / 'table.csv').write_text('\n'.join(table))
-    for path in (folder, write_bag(tmp_path / 'bag', sorted(messages, key=lambda m: m[0]))):
-        with open_recording(path) as recording:
-            events = [
-                e for e in recording.events(recording.select()) if isinstance(e, OdometryEvent)
-            ]
-        assert len(events) == 100
-        for sent in events:
-            assert odometry_of(message_of(sent)) == odometry_from_event(sent)
 
 
 @pytest.mark.parametrize('beams', [0, 1, 181])

@@ -14,10 +14,9 @@ from nav_msgs.srv import GetPlan
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, ParameterValue
 from rclpy.serialization import deserialize_message, serialize_message
 from rosidl_runtime_py import message_to_yaml, set_message_fields
-from rosidl_runtime_py.utilities import get_message, get_service
 from sensor_msgs.msg import CameraInfo, Image, LaserScan, NavSatStatus, PointField
 from std_msgs.msg import Header, String
-from std_srvs.srv import Empty, SetBool, Trigger
+from std_srvs.srv import Empty, SetBool
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
@@ -112,15 +111,6 @@ def test_every_field_kind_survives_serialisation() -> None:
     decoded = deserialize_message(serialize_message(value), ParameterValue)
     assert list(decoded.byte_array_value) == [b'\x01', b'\xff']
     assert list(decoded.string_array_value) == ['', 'ß']
-
-
-def test_types_are_found_by_name() -> None:
-    assert get_message('std_msgs/msg/String') is String
-    assert get_service('std_srvs/srv/Trigger') is Trigger
-    with pytest.raises((ValueError, ImportError, AttributeError)):
-        get_message('std_msgs/msg/Nothing')
-    with pytest.raises((ValueError, ImportError, AttributeError)):
-        get_service('nothing')
 
 
 def test_messages_convert_to_yaml_and_back() -> None:

@@ -1,11 +1,10 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Services and clients in one process and in several processes."""
-import time
 
 import pytest
 from nav_msgs.srv import GetPlan
-from std_srvs.srv import Empty, SetBool, Trigger
+from std_srvs.srv import SetBool, Trigger
 
 
 def create_echo_service(node, name='echo'):
@@ -27,14 +26,6 @@ def test_client_receives_response_to_each_request(ros) -> None:
     assert client.srv_name == 'echo'
 
 
-def test_wait_for_service_without_server_times_out(ros) -> None:
-    client = ros.node().create_client(Trigger, 'missing')
-    assert not client.service_is_ready()
-    start_s = time.monotonic()
-    assert not client.wait_for_service(timeout_sec=0.3)
-    assert time.monotonic() - start_s < 5.0
-
-
 def test_service_with_nested_messages_returns_response(ros) -> None:
     node = ros.node()
 
@@ -50,13 +41,6 @@ def test_service_with_nested_messages_returns_response(ros) -> None:
     response = ros.call(client, request)
     assert [pose.pose.position.x for pose in response.plan.poses] == [0.0, 4.0, 4.0]
     assert response.plan.header.frame_id == 'map'
-
-
-def test_service_with_empty_messages_returns_response(ros) -> None:
-    node = ros.node()
-    node.create_service(Empty, 'nothing', lambda request, response: response)
-    response = ros.call(node.create_client(Empty, 'nothing'), Empty.Request())
-    assert response == Empty.Response()
 
 
 def test_two_clients_receive_only_their_own_responses(ros) -> None:
@@ -97,29 +81,13 @@ rclpy.shutdown()
 
 def test_clients_in_two_processes_receive_their_own_responses(ros, start_process) -> None:
     create_echo_service(ros.node())
-    callers = [start_process(CALL) for _ in range(2)]
-    ros.until(lambda: all(caller.poll() is not None for caller in callers), 40.0)
-    for caller in callers:
-        out, err = caller.communicate()
-        assert (caller.returncode, out.strip()) == (0, 'done'), err
-
-
-SERVE = """
-import rclpy
-from std_srvs.srv import Trigger
-rclpy.init(args=[])
-node = rclpy.create_node('server')
-node.create_service(Trigger, 'there', lambda q, r: Trigger.Response(success=True, message='ü'))
-rclpy.spin(node)
-"""
-
-
-def test_server_in_another_process_responds(ros, start_process) -> None:
-    client = ros.node().create_client(Trigger, 'there')
-    server = start_process(SERVE)
-    assert ros.call(client, Trigger.Request()) == Trigger.Response(success=True, message='ü')
-    server.kill()
-    server.wait()
+    client = ros.node('here').create_client(SetBool, 'echo')
+    caller, number = start_process(CALL), 0
+    while caller.poll() is None:
+        number += 1
+        assert ros.call(client, SetBool.Request(data=number % 2 == 0)).success == (number % 2 == 0)
+    out, err = caller.communicate()
+    assert (caller.returncode, out.strip()) == (0, 'done'), err
 
 
 def test_request_of_wrong_type_is_rejected(ros) -> None:

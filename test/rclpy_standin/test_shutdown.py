@@ -3,14 +3,16 @@
 """Initialisation, signals, shutdown, and clean exit of processes."""
 
 import signal
+import threading
 import time
+from contextlib import suppress
 
 import pytest
 import rclpy
 from contract import IS_STAND_IN
 from rclpy.context import Context
 from rclpy.exceptions import NotInitializedException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from std_msgs.msg import String
 
 SPIN = """
@@ -50,8 +52,9 @@ print(outcome, rclpy.ok())
 """
 
 
-@pytest.mark.parametrize('spin_with', ['rclpy', 'executor'])
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
+@pytest.mark.parametrize(('number', 'spin_with'), [
+    (signal.SIGINT, 'rclpy'), (signal.SIGTERM, 'executor'),
+])
 def test_signal_ends_spinning(start_process, number, spin_with) -> None:
     process = start_process(SPIN, spin_with)
     assert process.stdout.readline() == 'ready\n', process.stderr.read()
@@ -108,37 +111,30 @@ rclpy.spin_once(node, timeout_sec=0.1)
 """
 
 
-@pytest.mark.parametrize('end', ['', 'rclpy.shutdown()', 'node.destroy_node()', 'del node'])
-def test_process_exits_with_entities_left_open(start_process, end) -> None:
-    process = start_process(LEFT_OPEN + end)
+def test_process_exits_with_entities_left_open(start_process) -> None:
+    """Those of the first contexts while further ones are used, and the last ones at the end."""
+    ends = 'rclpy.shutdown()\n', 'node.destroy_node()\nrclpy.shutdown()\n', 'del node\n'
+    process = start_process(''.join(LEFT_OPEN + end for end in ends))
     _, err = process.communicate(timeout=20.0)
     assert (process.returncode, err) == (0, '')
 
 
-def test_shutdown_ends_spinning_in_another_thread(start_process) -> None:
-    process = start_process("""
-import threading, time
-import rclpy
-from rclpy.executors import ExternalShutdownException
-rclpy.init(args=[])
-node = rclpy.create_node('n')
-ended = []
-def work():
-    try:
-        rclpy.spin(node)
-    except ExternalShutdownException:
-        pass
-    ended.append(1)
-thread = threading.Thread(target=work)
-thread.start()
-time.sleep(0.3)
-rclpy.shutdown()
-thread.join(10.0)
-assert ended
-node.destroy_node()
-""")
-    _, err = process.communicate(timeout=30.0)
-    assert (process.returncode, err) == (0, '')
+def test_shutdown_ends_spinning_in_another_thread() -> None:
+    rclpy.init(args=[])
+    node, ended = rclpy.create_node('n'), []
+
+    def work() -> None:
+        with suppress(ExternalShutdownException):
+            rclpy.spin(node)
+        ended.append(1)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    time.sleep(0.3)
+    rclpy.shutdown()
+    thread.join(10.0)
+    assert ended
+    node.destroy_node()
 
 
 def test_init_and_shutdown_can_be_repeated() -> None:

@@ -42,6 +42,24 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> SimulatedRun:
 
 
 @pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """Return a folder with the history of a short run."""
+    from viewer_doubles import records_of
+
+    from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
+    from ratslam_ros.history.writer import HistoryWriter
+
+    folder = tmp_path / 'some run'
+    folder.mkdir()
+    writer = HistoryWriter(folder / HISTORY_NAME, HistoryMeta('run'))
+    for number in range(60):
+        for record in records_of(number):
+            writer.add(record)
+    writer.close()
+    return folder
+
+
+@pytest.fixture
 def view(viser: Any, tmp_path: Path) -> Iterator[Callable[..., View]]:
     """Return a function that starts a ratslam command; all are ended after the test."""
     from pages import View

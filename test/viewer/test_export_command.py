@@ -9,25 +9,10 @@ from pathlib import Path
 
 import pytest
 from graphs import corridor
-from viewer_doubles import records_of
 
 from ratslam_ros.cli.main import main
-from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
-from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.messages.mapping import encode_map
-
-
-@pytest.fixture
-def results(tmp_path: Path) -> Path:
-    """Return a folder with the history of a short run."""
-    folder = tmp_path / 'some run'
-    folder.mkdir()
-    writer = HistoryWriter(folder / HISTORY_NAME, HistoryMeta('run'))
-    for number in range(60):
-        for record in records_of(number):
-            writer.add(record)
-    writer.close()
-    return folder
 
 
 def test_history_is_exported(results: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -35,7 +35,7 @@ from ratslam_ros.history.records import (
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer import live_run
 from ratslam_ros.viewer.live_history import MapRelay
-from ratslam_ros.viewer.live_run import HOLD_NS, LiveRun
+from ratslam_ros.viewer.live_run import LiveRun
 
 TENTH_NS = 100_000_000
 
@@ -100,22 +100,6 @@ def released(run: LiveRun, clock: Clock) -> None:
     assert is_written.wait(20.0), history.problem
 
 
-def test_records_of_slow_topics_get_their_place(run: LiveRun, clock: Clock) -> None:
-    rng = random.Random(1)
-    arrivals = [(k * TENTH_NS, pose(k)) for k in range(100)]
-    arrivals += [
-        (k * TENTH_NS + rng.randrange(HOLD_NS - TENTH_NS), view(k)) for k in range(0, 100, 5)
-    ]
-    for _, record in sorted(arrivals, key=lambda arrival: arrival[0]):
-        run.add(record)
-    released(run, clock)
-    found = [record.stamp_ns for record in run._tail]
-    assert found == sorted(record.stamp_ns for _, record in arrivals)
-    state = run.seek(START_NS + 52 * TENTH_NS)
-    assert state.view == view(50)
-    assert state.pose == pose(52)
-
-
 def test_reader_that_follows_gets_every_record_once(run: LiveRun, clock: Clock) -> None:
     """Late records included: they are moved behind what the reader has seen."""
     rng = random.Random(2)
@@ -139,19 +123,6 @@ def test_reader_that_follows_gets_every_record_once(run: LiveRun, clock: Clock) 
     assert found == sorted(found)
     assert len(applied) == 400
     assert {r.target_id for r in applied if isinstance(r, ViewRecord)} == set(range(200))
-
-
-def test_seek_and_advance_reach_the_same_state(run: LiveRun, clock: Clock) -> None:
-    for k in range(100):
-        run.add(pose(k))
-        run.add(view(k, target_id=k % 7, action='create' if k < 7 else 'link'))
-    released(run, clock)
-    at_ns = START_NS + 80 * TENTH_NS
-    sought, advanced = run.seek(at_ns), run.seek(START_NS + 10 * TENTH_NS)
-    run.advance(advanced, at_ns)
-    assert sought.view == advanced.view == view(80, 80 % 7, 'link')
-    assert np.array_equal(sought.trail.points_m, advanced.trail.points_m)
-    assert np.array_equal(sought.visits.counts, advanced.visits.counts)
 
 
 def test_latched_records_do_not_begin_the_run(run: LiveRun, clock: Clock) -> None:
@@ -244,14 +215,14 @@ def test_seek_behind_the_tail_reads_the_history(
     run: LiveRun, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = LiveRun('all in memory', clock=clock)
-    drive(whole, 1500)
+    drive(whole, 600)
     released(whole, clock)
-    monkeypatch.setattr(live_run, 'MAX_TAIL', 1200)  # 40 s of three records at 10 Hz
-    drive(run, 1500)
-    assert len(run._tail) < 2500
+    monkeypatch.setattr(live_run, 'MAX_TAIL', 480)  # 16 s of three records at 10 Hz
+    drive(run, 600)
+    assert len(run._tail) < 1000
     released(run, clock)
     assert whole.end_ns == run.end_ns
-    for k in (0, 100, 700, 1100, 1250, 1490, 1499):
+    for k in (0, 100, 430, 590, 599):
         at_ns = START_NS + k * TENTH_NS
         found = run.seek(at_ns)
         assert_same_view(found, whole.seek(at_ns))
@@ -328,18 +299,6 @@ def named_links(state: RunState) -> set[tuple[object, ...]]:
         (*ends, *rows.shapes[n], rows.counts[n], rows.behaviours[n])
         for n, ends in enumerate(rows.ends.tolist()) if ends[0] >= 0
     }
-
-
-def test_closures_are_those_of_the_shown_moment(run: LiveRun, clock: Clock) -> None:
-    for k in range(100):
-        run.add(view(k, k % 50, 'create' if k < 50 else 'link', reason='' if k % 7 else 'too far'))
-    clock.now_s += 10.0
-    expected = [
-        START_NS + k * TENTH_NS for k in range(100) if k % 7 == 0 or 50 <= k < 90
-    ]
-    for until_ns in run.end_ns, START_NS + 60 * TENTH_NS:
-        found = [one.stamp_ns for one in run.seek(until_ns).closures]
-        assert found == [stamp_ns for stamp_ns in expected if stamp_ns <= until_ns]
 
 
 def test_questions_about_views(run: LiveRun, clock: Clock) -> None:

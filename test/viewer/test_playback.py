@@ -27,16 +27,6 @@ def test_finished_run_shows_its_end_first() -> None:
     assert not playback.playing and not playback.following
 
 
-def test_run_without_records_shows_nothing() -> None:
-    run = FakeRun(is_growing=True)
-    playback = Playback(run)
-    assert playback.tick(0.1).stamp_ns == 0
-    playback.step(1)
-    playback.follow()
-    run.grow(3)
-    assert playback.tick(0.1).stamp_ns == run.end_ns
-
-
 def test_end_of_followed_run_ends_playing_at_last_record() -> None:
     run = FakeRun(10, is_growing=True)
     playback = Playback(run)

@@ -79,11 +79,6 @@ def test_every_colouring_has_colours_and_legend(name, theme) -> None:
         assert {tuple(c) for c in coloured.tolist()} <= shown
 
 
-def test_unknown_colouring_is_refused() -> None:
-    with pytest.raises(ValueError, match='expected one of plain, age'):
-        map_colours('warmth', RunState(), LIGHT)
-
-
 def test_age_ends_at_robot_and_has_units() -> None:
     state = SyntheticRun(100).state()
     colours = map_colours('age', state, LIGHT)

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import socket
-import sys
 import threading
 import urllib.request
 from collections.abc import Callable
@@ -30,15 +28,6 @@ Start = Callable[..., View]
 Refusal = Callable[..., str]
 
 
-@pytest.fixture(scope='module')
-def results(recording: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from ratslam_ros.cli import main
-
-    folder = tmp_path_factory.mktemp('results') / 'demo'
-    assert main(['replay', str(recording.recording), '--quiet', '--out', str(folder)]) == 0
-    return folder
-
-
 def test_view_of_recording_shows_its_replay_until_interrupted(
     view: Start, new_page: NewPage, recording: Any, tmp_path: Path
 ) -> None:
@@ -53,13 +42,13 @@ def test_view_of_recording_shows_its_replay_until_interrupted(
     assert not [line for line in started.errors if 'Error' in line]
 
 
-def test_view_of_results_shows_them_and_warns_of_other_machines(
-    view: Start, new_page: NewPage, results: Path
+def test_view_of_results_serves_them_and_warns_of_other_machines(
+    view: Start, results: Path
 ) -> None:
     started = view('view', str(results), '--host', '0.0.0.0', *QUIET)
     address = urlsplit(started.url)
-    page = new_page(f'http://127.0.0.1:{address.port}{address.path}')
-    page.wait_for_text(r'0:30\.0 of 0:30\.0')
+    page = urllib.request.urlopen(f'http://127.0.0.1:{address.port}{address.path}')
+    assert page.status == 200
     (line,) = started.errors
     assert line.startswith('warning: other machines')
     assert started.interrupt() < 10.0
@@ -109,31 +98,9 @@ def test_recording_without_images_is_refused_before_the_page(
     assert 'holds no images' in refusal('replay', str(bag), '--view', *QUIET)
 
 
-def test_failing_replay_ends_in_one_line(view: Start, recording: Any) -> None:
-    started = view('view', str(recording.recording), '--start', '1000', *QUIET)
-    assert started.wait() == 2
-    (line,) = started.errors
-    assert 'the start at 1000 s is outside' in line
-
-
 def test_options_of_replay_are_refused_for_results(refusal: Refusal, results: Path) -> None:
     line = refusal('view', str(results), '--set', 'local_view.vt_shift_match=2', *QUIET)
     assert '--set has no effect' in line
-
-
-def test_port_in_use_ends_in_one_line(refusal: Refusal, results: Path) -> None:
-    with socket.create_server(('127.0.0.1', 0)) as other:
-        port = str(other.getsockname()[1])
-        line = refusal('view', str(results), '--no-browser', '--port', port)
-    assert f'port {port}' in line
-    assert '--port' in line
-
-
-def test_missing_extra_ends_in_one_line(
-    refusal: Refusal, results: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, 'viser', None)
-    assert "pip install '.[view]'" in refusal('view', str(results), *QUIET)
 
 
 def test_view_of_live_simulator_names_launch(refusal: Refusal) -> None:
@@ -144,7 +111,7 @@ def test_another_replay_has_its_settings_and_its_own_folder(
     recording: Any, tmp_path: Path
 ) -> None:
     replays = _Replays(
-        ['replay', str(recording.recording), '--quiet', '--duration=5'], tmp_path / 'run', 'demo',
+        ['replay', str(recording.recording), '--quiet', '--duration=2'], tmp_path / 'run', 'demo',
         False, None,
     )
     first = replays.start()
@@ -164,6 +131,16 @@ def test_another_replay_has_its_settings_and_its_own_folder(
     assert opened.title == second.title
     assert opened.end_ns > opened.begin_ns > 0
     assert not opened.is_growing
+
+
+def test_failing_replay_ends_in_one_line(
+    viser: Any, signals: None, recording: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(['view', str(recording.recording), '--start', '1000', *QUIET]) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert 'the start at 1000 s is outside' in line
 
 
 def test_reason_of_failed_replay_is_a_notice(tmp_path: Path) -> None:

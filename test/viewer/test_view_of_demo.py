@@ -48,16 +48,10 @@ def demo(
     run.close()
 
 
-def test_map_is_drawn(demo: Demo) -> None:
-    demo.page.wait_for_text(r'0:30\.0 of 0:30\.0')
-    demo.page.close_notices()
-    demo.page.wait_for_picture(lambda scene: demo.places(scene) > 300, 'experiences')
-
-
 def test_earlier_moment_has_its_own_image_and_map(demo: Demo) -> None:
     page = demo.page
-    page.click('End')
     page.wait_for_text(r'0:30\.0 of 0:30\.0')
+    page.close_notices()
     page.wait_for_picture(lambda scene: demo.places(scene) > 300, 'experiences')
     last = wait_for(page.images, 'the camera image')[0]
     page.click('Begin')

@@ -79,10 +79,6 @@ def is_closed(connection: Any) -> bool:
         return False
 
 
-def test_page_with_token_is_served(server: ViewServer) -> None:
-    assert get(server, page_of(server))[0] == OK
-
-
 @pytest.mark.parametrize('encoding', ['identity', 'gzip'])
 def test_page_has_own_script_before_those_of_viser(server: ViewServer, encoding: str) -> None:
     connection = http.client.HTTPConnection('127.0.0.1', server.port, timeout=30.0)
@@ -103,15 +99,11 @@ def test_page_that_is_not_visers_is_not_adapted() -> None:
         with_elements('<html></html>', '<script></script>')
 
 
-@pytest.mark.parametrize('path', ['/', '/index.html', '/wrong/', '/?token=wrong', '/%2e%2e/'])
+@pytest.mark.parametrize('path', ['/', '/index.html', '/wrong/', '/?token=wrong', 'cut'])
 def test_page_without_token_is_refused(server: ViewServer, path: str) -> None:
-    status, text = get(server, path)
+    status, text = get(server, page_of(server)[:-2] if path == 'cut' else path)
     assert status == FORBIDDEN
     assert 'the address is incomplete' in text
-
-
-def test_token_that_is_cut_is_refused(server: ViewServer) -> None:
-    assert get(server, page_of(server)[:-2])[0] == FORBIDDEN
 
 
 @pytest.mark.parametrize('host', ['evil.example', 'evil.example:80', '127.0.0.1.evil.example', ''])
@@ -133,11 +125,6 @@ def test_tokens_differ_between_servers(server: ViewServer) -> None:
         assert get(other, page_of(server))[0] == FORBIDDEN
     finally:
         other.stop()
-
-
-def test_socket_with_token_receives_messages(server: ViewServer) -> None:
-    with connect(server) as connection:
-        assert isinstance(connection.recv(timeout=30.0), bytes)
 
 
 @pytest.mark.parametrize(
@@ -258,11 +245,6 @@ def test_stop_ends_silent_connections(viser: Any) -> None:
     idle.close()
 
 
-def test_start_prints_nothing(viser: Any, capfd: pytest.CaptureFixture[str]) -> None:
-    ViewServer(port=0).stop()
-    assert capfd.readouterr() == ('', '')
-
-
 def test_connections_beyond_limit_close_the_oldest(server: ViewServer) -> None:
     with ExitStack() as stack:
         opened = [
@@ -285,14 +267,6 @@ def test_connection_without_complete_request_is_closed(
             assert silent.recv(1) == b''
     finally:
         one.stop()
-
-
-def test_page_is_served_beside_connections_that_send_nothing(server: ViewServer) -> None:
-    with ExitStack() as stack:
-        for _ in range(MAX_CONNECTIONS):
-            silent = socket.create_connection(('127.0.0.1', server.port))
-            stack.enter_context(silent)
-        assert get(server, page_of(server))[0] == OK
 
 
 def test_open_page_is_kept_when_others_connect(server: ViewServer) -> None:
