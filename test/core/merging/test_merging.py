@@ -126,7 +126,7 @@ def test_few_shared_places_are_refused() -> None:
     assert size(merged)[2] == 2
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(st.permutations(range(4)))
 def test_order_of_the_sessions_does_not_matter(order: list[int]) -> None:
     robots = robot(0, 60), robot(30, 60, noise=2), robot(0, 40, floor=2), robot(50, 50, noise=3)
@@ -137,7 +137,7 @@ def test_order_of_the_sessions_does_not_matter(order: list[int]) -> None:
     assert merged.joins == expected.joins
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(st.integers(0, LAP - 1), st.integers(2, 90), st.integers(1, 3))
 def test_merging_a_map_with_itself_changes_nothing(start: int, steps: int, copies: int) -> None:
     session = Robot(start, noise=1).forward(steps).session('x')

@@ -182,9 +182,10 @@ def competition(
     return ours, theirs
 
 
-@pytest.mark.parametrize('theta', [0.0, 9.4])
-@pytest.mark.parametrize('energy', [0.1, 0.3, 1.2])
-@pytest.mark.parametrize(('every', 'count'), [(1, 1), (1, 5), (3, 10)])
+@pytest.mark.parametrize(
+    ('energy', 'every', 'count', 'theta'),
+    [(0.1, 1, 5, 9.4), (0.3, 3, 10, 0.0), (0.3, 1, 5, 9.4), (1.2, 1, 1, 9.4)],
+)
 def test_stationary_competition_has_same_winner_at_every_step(
     energy: float, every: int, count: int, theta: float
 ) -> None:
@@ -198,9 +199,9 @@ def test_tested_competitions_have_both_outcomes() -> None:
     assert competition(0.0, 1.2, 1, 5, 0.0)[1][-1]
 
 
-@pytest.mark.parametrize(('speed', 'theta'), [(0.05, 9.4), (0.3, 27.0), (1.0, 0.0)])
 @pytest.mark.parametrize(
-    ('energy', 'count'), [(0.15, 6), (0.3, 3), (0.6, 4), (1.2, 2), (0.02, 2)]
+    ('speed', 'theta', 'energy', 'count'),
+    [(0.05, 9.4, 0.15, 6), (0.3, 27.0, 0.3, 3), (1.0, 0.0, 0.6, 4), (0.3, 27.0, 0.02, 2)],
 )
 def test_moving_competition_changes_winner_within_one_step(
     speed: float, theta: float, energy: float, count: int
@@ -233,7 +234,7 @@ def test_peak_equals_population_vectors_of_dense_reference(
         packets = net.step(packets, 0.0, 0.0)
 
 
-@pytest.mark.parametrize('energy', [0.1, 0.2, 0.3, 0.4, 0.6, 0.9])
+@pytest.mark.parametrize('energy', [0.1, 0.3, 0.9])
 def test_rounding_errors_do_not_enlarge_packets(energy: float) -> None:
     """A packet of one heading plane moves with its mean: the two boxes must stay separate."""
     network = Network((36, 41, 41), kernel(1, 1.0), kernel(1, 1.0), 0.0)

@@ -20,7 +20,7 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings.opening import open_recording
 
 
-@pytest.mark.parametrize('dims', [(36, 40, 60), (36, 12, 40), (8, 9, 25)], ids=str)
+@pytest.mark.parametrize('dims', [(36, 12, 60), (8, 9, 25)], ids=str)
 def test_activity_equals_one_matrix_of_cells(dims: tuple[int, int, int]) -> None:
     random = np.random.default_rng(sum(dims))
     network = Network(dims, kernel(7, 1.0), kernel(5, 2.0), 0.00002, is_fixed=True)
@@ -46,7 +46,7 @@ def test_activity_equals_one_matrix_of_cells(dims: tuple[int, int, int]) -> None
 def test_activity_after_a_recording_equals_one_matrix_of_cells(
     monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A minute of a model car; the reference gets its motions and injections."""
+    """A third of a minute of a model car; the reference gets its motions and injections."""
     config = preset_config('openratslam').with_values({
         'pose_cells.pc_dim_xy': 40, 'pose_cells.pc_cell_x_size': 0.5,
         'pose_cells.pc_vt_interpolate': True, 'local_view.vt_match_threshold': 0.06,
@@ -70,10 +70,10 @@ def test_activity_after_a_recording_equals_one_matrix_of_cells(
     monkeypatch.setattr(Network, 'step', both_step)
     monkeypatch.setattr(Network, 'inject', both_inject)
     with open_recording(real_recording('rc_car_loops')) as recording:
-        for one in recorded_inputs(recording, slam, duration_s=60.0):
+        for one in recorded_inputs(recording, slam, duration_s=20.0):
             slam.feed(*one)
     slam.finish()
-    assert counts['steps'] > 500 and counts['injections'] > 50
+    assert counts['steps'] > 150 and counts['injections'] > 10
     np.testing.assert_allclose(cells.activity(), dense.activity, atol=1e-9)
 
 

