@@ -53,12 +53,6 @@ def test_people_keep_walking_without_overlap(plan):
         assert 's' * 20 not in still
 
 
-def test_people_cover_large_distances():
-    simulator = Simulator(UNIVERSITY, Pose(*UNIVERSITY.places['S'], 0.0), 4, BLIND, people=3)
-    seen = walk(simulator, 300.0)
-    assert (np.ptp(seen, axis=0).max(axis=1) > 10.0).all()
-
-
 def test_people_in_corridor_keep_right():
     world = build_world(CORRIDOR, rng())
     robot = Pose(0.8, 1.5, 0.0)

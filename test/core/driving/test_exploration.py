@@ -194,28 +194,6 @@ def test_island_is_left_after_one_round() -> None:
     assert min(x - 0.5, 12.5 - x, y - 0.5, 11.5 - y) < 1.4  # at the wall of the hall
 
 
-TABLE = parse_floor_plan("""
-##################
-#..........#.....#
-#..........#.....#
-#..........#.....#
-#...##...........#
-#...##...........#
-#...##...........#
-#..........#.....#
-#..........#.....#
-#..........#.....#
-##################
-""", 0.5)
-"""A room of 5 x 4.5 m with a table, which leaves a single lane along the walls."""
-
-
-def test_room_with_table_is_left() -> None:
-    run = explore(TABLE, Start(2.5, 1.6, 0.0), 90.0)  # with the table on its left
-    assert run.collisions == 0
-    assert run.positions()[:, 0].max() > 6.5
-
-
 @pytest.mark.parametrize('width', [2, 3])
 def test_dead_end_is_left(width: int) -> None:
     rows = ['#' + '.' * 12 + '#' * 9] * (5 - width) + ['#' + '.' * 20 + '#'] * width

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 
@@ -60,19 +59,6 @@ def test_junction_follows_branch_of_route() -> None:
     assert drive.nearest_m > P.robot_radius_m
     assert not any(command.failed for command in commands)
     assert 'turn' not in {command.behaviour for command in commands[:40]}
-
-
-def test_route_through_side_door_is_driven() -> None:
-    walls: list[Line] = [
-        [(-20.0, 1.0), (2.5, 1.0), (2.5, 6.0), (5.5, 6.0), (5.5, 1.0)],
-        [(2.5, 1.0), (3.5, 1.0)], [(4.5, 1.0), (20.0, 1.0)],
-        [(-20.0, -1.0), (20.0, -1.0)],
-    ]
-    drive = Drive(walls, [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
-    commands = drive.steps(25.0)
-    assert drive.away_m(4.0, 4.0) < 0.3
-    assert drive.nearest_m > P.robot_radius_m
-    assert not any(command.failed for command in commands)
 
 
 def test_displaced_route_is_followed_along_corridor() -> None:
@@ -233,12 +219,6 @@ def test_speed_allows_stopping_before_obstacles(
             assert gap_m > -1e-6
 
 
-@pytest.mark.parametrize('at_m', [0.27, 0.3, 0.36])
-def test_obstacle_within_stop_distance_stops_robot(at_m: float) -> None:
-    post: list[Line] = [[(at_m, 0.05), (at_m, -0.05)]]
-    assert command_for(post, AHEAD).speed_mps == 0.0
-
-
 # Learned walls
 
 
@@ -284,21 +264,6 @@ def test_nearest_path_is_chosen_instead_of_wall() -> None:
 
 
 # Robot frame
-
-
-def test_in_robot_frame_is_rigid_transform() -> None:
-    rng = np.random.default_rng(0)
-    x_m, y_m, heading = rng.uniform(-3.0, 3.0, 3).tolist()
-    positions_m = rng.normal(0.0, 5.0, (7, 2))
-    turned = np.array(
-        [[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]]
-    )
-    local_m = in_robot_frame(Pose(x_m, y_m, heading), positions_m)
-    assert local_m @ turned.T + [x_m, y_m] == pytest.approx(positions_m)
-    for a, b in itertools.combinations(range(7), 2):
-        assert math.dist(local_m[a], local_m[b]) == pytest.approx(
-            math.dist(positions_m[a], positions_m[b])
-        )
 
 
 def test_in_robot_frame_has_x_ahead_and_y_left() -> None:

@@ -152,17 +152,6 @@ def test_goal_beside_route_is_reached_at_end() -> None:
         assert robot.update().status == expected
 
 
-def test_waiting_robot_makes_no_progress() -> None:
-    robot = back_at_the_start()
-    robot.start(20)
-    robot.drive(0.75)
-    before = robot.update()
-    robot.wait(STUCK_S - 2.0)
-    after = robot.update()
-    assert after.remaining_s == before.remaining_s
-    assert after.status == 'following'
-
-
 @pytest.mark.parametrize('beside_m', [0.1, 0.2])
 def test_goal_is_reached_at_closest_approach(beside_m: float) -> None:
     robot = back_at_the_start()

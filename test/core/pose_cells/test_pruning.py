@@ -246,29 +246,9 @@ def test_long_drive_never_exceeds_limit(policy: str) -> None:
     assert all(of_template.values())
 
 
-def test_repeatedly_visited_experiences_are_kept() -> None:
-    """Drive laps of known places with one new view per lap: the lap is never pruned."""
-    pose_cells = PoseCells(extended('pose_cells', exp_max=30, pc_vt_agree_views=0.0))
-    new = 100
-    for lap in range(40):
-        for place in range(12):
-            pose_cells.integrate(ahead(2.5))
-            pose_cells.integrate(turning(2 * math.pi / 12))
-            pose_cells.view(seen(place))
-            if place == 5:
-                pose_cells.integrate(ahead(0.1 + 0.1 * (lap % 2)))
-                action = pose_cells.view(seen(new))
-                new += 1
-                assert action.action == 'create' or lap == 0
-    assert len(pose_cells) == 30
-    templates = {template for template, *_ in pose_cells.state()['experiences']}
-    assert set(range(12)) <= templates
-    assert new - 1 in templates
-
-
-@pytest.mark.parametrize(('limit', 'longest_m'), [(150, MAX_GAP_M), (75, 2.4)])
-def test_route_driven_once_is_pruned_evenly(limit: int, longest_m: float) -> None:
+def test_route_driven_once_is_pruned_evenly() -> None:
     """Drive a spiral of new views, 132 m long; no part of it may be removed completely."""
+    limit, longest_m = 75, 2.4
     pose_cells, graph = PoseCells(extended('pose_cells', exp_max=limit)), new_map(exp_loops=0)
     for view in range(330):
         for one in (pose_cells, graph):
@@ -462,10 +442,9 @@ def _inverse(pose: Pose) -> tuple[float, float, float]:
     return -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad
 
 
-@pytest.mark.parametrize('relaxation', ['solve', 'sweep'])
-def test_composed_links_agree_with_true_poses(relaxation: str) -> None:
+def test_composed_links_agree_with_true_poses() -> None:
     """With exact odometry every link agrees with the true poses, even if composed repeatedly."""
-    graph, true = driven(500, 40, random.Random(4), exp_relaxation=relaxation)
+    graph, true = driven(500, 40, random.Random(4))
     assert graph.link_count > 40
     for link in graph.links():
         end = composed(true[link.source_id], link.relative_pose)
@@ -476,27 +455,6 @@ def test_composed_links_agree_with_true_poses(relaxation: str) -> None:
         assert link.count >= 1
     places = np.array(true)
     assert np.abs(graph.poses[:, :2] - places[:, :2]).max() < 1e-6
-
-
-def test_pruning_connects_two_neighbours_in_both_directions() -> None:
-    graph = new_map()
-    for n, target in enumerate((0, 1, 2, 1, 0)):
-        graph.integrate(ahead(2.0 if n < 3 else -2.0, 1.0))
-        label = Place(float(target), 0.0, 0.0)
-        kind = 'create' if target == len(graph) else 'link'
-        graph.apply(MapAction(kind, graph.current_id, target, target, 0.0, label), 'wall')  # type: ignore[arg-type]
-    graph.integrate(turning(1.0, 1.0))
-    graph.integrate(ahead(3.0, 1.0))
-    prune_and_create(graph, 1, 9)
-    links = {(k.source_id, k.target_id): k for k in graph.links()}
-    assert set(links) == {(0, 2), (2, 0), (0, 1)}
-    for pair, way in (((0, 2), 4.0), ((2, 0), -4.0)):
-        assert links[pair].relative_pose.x_m == pytest.approx(way)
-        assert links[pair].duration_s == pytest.approx(2.0)
-        assert (links[pair].behaviour, links[pair].count) == ('wall', 1)
-    assert graph.experiences()[1].template_id == 9
-    assert graph.pose_of(1).x_m == pytest.approx(2.0 + 3.0 * math.cos(1.0))
-    assert RoutePlanner(GoalRecallParameters(), graph).route_to(2).experience_ids == (1, 0, 2)
 
 
 def test_pruning_connects_neighbours_through_nearest_and_keeps_links() -> None:
