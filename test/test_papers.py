@@ -93,11 +93,10 @@ def test_robot_of_2005_has_sonars_and_draws_occupancy(setting) -> None:
         assert (setting.out / f'{name}.png').exists() == has_sonars[name]
 
 
-@pytest.mark.parametrize(('has_sonars', 'sensor'), [(True, 'sonars'), (False, 'laser')])
-def test_exploration_runs_with_either_sensor(setting, has_sonars: bool, sensor: str) -> None:
-    row = papers.navigation.exploration_run(replace(setting, minutes=0.5), (3, has_sonars))
-    assert (row.seed, row.sensor, row.collisions) == (3, sensor, 0)
-    assert row.driven_m > 2.0 and row.speed_mps == pytest.approx(row.driven_m / 30.0)
+def test_exploration_runs_with_sonars(setting) -> None:
+    row = papers.navigation.exploration_run(replace(setting, minutes=0.3), (3, True))
+    assert (row.seed, row.sensor, row.collisions) == (3, 'sonars', 0)
+    assert row.driven_m > 1.0 and row.speed_mps == pytest.approx(row.driven_m / 18.0)
     assert row.squares >= 2
 
 
@@ -127,12 +126,12 @@ def test_goal_memory_draws_figures_and_counts_views(
     monkeypatch.setitem(
         papers.EXPERIMENTS, name, replace(papers.EXPERIMENTS[name], presets=presets)
     )
-    papers.run([name], [3], path, replace(setting, minutes=0.5))
+    papers.run([name], [3], path, replace(setting, minutes=0.3))
     drawn = sorted(file.name for file in tmp_path.rglob('*.png'))
     assert drawn == sorted(f'figure_{number}.png' for number in range(6, 11))
     [row] = papers.load(path)[name]['published'].values()
     assert row['goals'] == 2 and row['views'] > 10
-    assert row['minutes'] > 0.5 and row['driven_m'] > 2.0
+    assert row['minutes'] > 0.3 and row['driven_m'] > 1.0
 
 
 def test_irregular_rate_halves_images_in_alternate_stretches() -> None:
@@ -147,10 +146,9 @@ def test_irregular_rate_halves_images_in_alternate_stretches() -> None:
     assert counts == [20, 10, 20, 10]
 
 
-@pytest.mark.parametrize('corridor', range(2))
-def test_hypotheses_converge_without_a_unique_view(corridor: int) -> None:
+def test_hypotheses_converge_without_a_unique_view() -> None:
     """Milford et al. (2005), section II.D, with their preset."""
-    found = papers.two_corridors_run(papers.parameters_of('milford2005'), corridor)
+    found = papers.two_corridors_run(papers.parameters_of('milford2005'), 0)
     assert max(found.packets) >= 4 and found.errors_cells[0] > 20.0
     assert found.views_count == 3
     assert max(found.errors_cells[2:]) < 1.0
@@ -169,12 +167,12 @@ def test_recording_takes_the_place_of_its_stand_in(
 ) -> None:
     name, path = 'newcollege', tmp_path / 'results.json'
     monkeypatch.setitem(papers.EXPERIMENTS, name, papers.EXPERIMENTS[name])  # restored afterwards
-    papers.run([name], [1], path, replace(setting, minutes=0.5))
+    papers.run([name], [1], path, replace(setting, minutes=0.25))
     cell = papers.table(papers.load(path)).splitlines()[-1].split(' | ')[-2]
     assert cell.startswith('stand-in: ') and cell.endswith(' (seed 1)')
     bag = tmp_path / 'data' / 'newcollege_2008.bag'
     bag.parent.mkdir()
-    papers.write_stand_in(bag, name, 1, 30.0)
+    papers.write_stand_in(bag, name, 1, 15.0)
     papers.use_recordings(bag.parent)
     papers.run([name], [1], path, setting)
     assert papers.table(papers.load(path)).splitlines()[-1].split(' | ')[-2] == cell[10:]
@@ -186,21 +184,31 @@ def test_recording_takes_the_place_of_its_stand_in(
     assert np.isnan(row['map_m'])
 
 
-@pytest.mark.parametrize('name', sorted(papers.EXPERIMENTS))
+ALIKE = {'goal_memory', 'goal_memory_small', 'irregular_rate', 'goals_large', 'irat', 'stlucia',
+         'newcollege', 'relocalisation_distinct'}
+"""Experiments that run the code of another one with other values, or that of a test above."""
+
+
+@pytest.mark.parametrize('name', sorted(papers.EXPERIMENTS.keys() - ALIKE))
 def test_short_experiment_fills_its_columns(
     setting, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Explore for up to two minutes, with the preset of the paper if the experiment has one."""
-    minutes = {'kidnapped': 2.0, 'kidnapped_goals': 2.0, 'pruning': 1.0}.get(name, 0.3)
-    for limit, value in (('GOALS_COUNT', 1), ('CARRIES_COUNT', 1), ('MAX_LOST_S', 5.0),
-                         ('FOUND_S', 5.0)):
-        monkeypatch.setattr(papers.navigation, limit, value)
+    """Explore for half a minute, with the preset of the paper if the experiment has one."""
+    for module, limit, value in (
+        (papers.navigation, 'GOALS_COUNT', 1), (papers.navigation, 'CARRIES_COUNT', 1),
+        (papers.navigation, 'MAX_LOST_S', 5.0), (papers.navigation, 'FOUND_S', 5.0),
+        (papers.navigation, 'NAMING_INTERVAL_S', 35.0 if name == 'pruning' else 5.0),
+        (papers.navigation, 'RING_LENGTH_M', 10.0),
+        (papers.navigation, 'ONWARD_M', 0.0), (papers.landmarks, 'LIMITS', (20, 0)),
+        (papers.landmarks, 'KIDNAPS_COUNT', 3), (papers, 'WORLDS_COUNT', 1),
+    ):
+        monkeypatch.setattr(module, limit, value)
     x, path = papers.EXPERIMENTS[name], tmp_path / 'results.json'
     monkeypatch.setitem(papers.EXPERIMENTS, name, replace(x, presets=x.presets[:1]))
+    # A robot is carried 8 m away; a map of 60 experiences is pruned.
+    minutes = 0.8 if name in ('kidnapped', 'kidnapped_goals', 'pruning') else 0.3
     papers.run([name], [5], path, replace(setting, minutes=minutes))
     [[row]] = [list(found.values()) for found in papers.load(path)[name].values()]
     assert x.shown.format_map(row)
-    if name == 'loop':  # runs in full
-        assert (row['closed'], row['wrong']) == (1, 0)
     counts = [row[key] for key in ('goals', 'tries', 'runs', 'carries') if key in row]
-    assert counts != [0] or minutes < 0.5  # no places are named in 18 s
+    assert 0 not in counts or name == 'people_in_the_way'  # it has not passed S and G

@@ -51,7 +51,7 @@ def test_hypotheses_are_all_features_that_pass_both_tests() -> None:
     assert found == [(0, 1), (1, 0), (1, 2), (2, 1), (2, 3), (3, 2)]
 
 
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('seed', range(2))
 def test_robot_with_compass_is_found_among_distinct_angles(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows, pose = world(rng, 40, 30.0), (14.0, 16.0, 2.5)

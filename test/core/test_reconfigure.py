@@ -58,9 +58,11 @@ def test_every_parameter_that_takes_effect_at_a_message_is_tested() -> None:
     assert settable == set(CHANGED)
 
 
-@pytest.mark.parametrize('key', CHANGED)
-def test_change_at_a_stamp_equals_a_new_system_from_there(key: str) -> None:
-    config = CONFIG.with_values({key: CHANGED[key]})
+@pytest.mark.parametrize('section', ['local_view', 'pose_cells', 'experience_map'])
+def test_change_at_a_stamp_equals_a_new_system_from_there(section: str) -> None:
+    config = CONFIG.with_values(
+        {key: value for key, value in CHANGED.items() if key.startswith(section)}
+    )
     changing, first, second = RatSLAM(CONFIG), RatSLAM(CONFIG), RatSLAM(config)
     half = LAP + 5
     changing.reconfigure(config, START_NS + half * PERIOD_NS)
@@ -91,7 +93,7 @@ def test_refused_change_changes_nothing(key: str, value: float, reason: str) -> 
     config = CONFIG.with_values({key: value, 'pose_cells.pc_vt_inject_energy': 0.5})
     with pytest.raises(UnusableParameter, match=reason):
         slam.reconfigure(config)
-    assert drive(slam, 0, 2 * LAP) == drive(unchanged, 0, 2 * LAP)
+    assert drive(slam, 0, LAP) == drive(unchanged, 0, LAP)
 
 
 def test_automatic_threshold_can_be_set_and_returned_to_automatic() -> None:

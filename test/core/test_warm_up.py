@@ -43,9 +43,6 @@ def images():
     return [views[n % 80] for n in range(160)]
 
 config, _ = load_config('openratslam')
-warm_up(*sys.argv[1:])
-before = loaded()
-assert before
 """
 
 VISUAL_ODOMETRY = """
@@ -105,9 +102,7 @@ again.restore(graph.state())
 again.integrate(Motion(1.0, 1.0, 0.1))
 """
 
-GOAL_RECALL = (
-    EXPERIENCE_MAP
-    + """
+GOAL_RECALL = """
 RoutePlanner(config.goal_recall, graph).route_to(0)
 RoutePlanner(config.goal_recall, graph).route_to_place(0.0, 0.0, 50.0)
 from ratslam_ros.core.navigation.navigator import Navigator
@@ -119,7 +114,7 @@ for n in range(40):
     graph.integrate(Motion(0.1, 0.1, 0.03))
     graph.unlearn_blocked('turn', 0.1 * n)
 """
-)
+"""Continues with the map of EXPERIENCE_MAP."""
 
 GOAL_MEMORY = """
 from ratslam_ros.core.goal_memory.goal_routes import GoalRoutes
@@ -175,24 +170,28 @@ assert drive.slam.relocator.counts['found'] == 1
 """
 
 
-@pytest.mark.parametrize(
-    ('parts', 'code'),
-    [
-        ('visual_odometry', VISUAL_ODOMETRY),
-        ('local_view', LOCAL_VIEW),
-        ('pose_cells', POSE_CELLS),
-        ('experience_map', EXPERIENCE_MAP),
-        ('experience_map goal_recall', GOAL_RECALL),
-        ('pose_cells goal_memory', GOAL_MEMORY),
-        ('goal_follower', GOAL_FOLLOWER),
-        ('landmark_map', LANDMARK_MAP),
-        ('pose_cells experience_map scan_alignment relocation', RELOCATION),
-    ],
-)
-def test_nothing_is_compiled_after_warm_up(parts: str, code: str) -> None:
-    after = 'new = loaded() - before\nassert not new, new\n'
+CHECK = """
+warm_up(*{parts})
+before = loaded()
+assert before
+{code}
+new = loaded() - before
+assert not new, new
+"""
+
+
+# Each part is in one process with parts that share no compiled functions with it.
+@pytest.mark.parametrize('group', [
+    [('visual_odometry', VISUAL_ODOMETRY), ('goal_follower', GOAL_FOLLOWER),
+     ('landmark_map', LANDMARK_MAP)],
+    [('local_view', LOCAL_VIEW), ('pose_cells', POSE_CELLS),
+     ('pose_cells goal_memory', GOAL_MEMORY)],
+    [('experience_map', EXPERIENCE_MAP), ('goal_recall', GOAL_RECALL)],
+    [('pose_cells experience_map scan_alignment relocation', RELOCATION)],
+], ids=lambda group: '-'.join(parts.split()[-1] for parts, _ in group))
+def test_nothing_is_compiled_after_warm_up(group: list[tuple[str, str]]) -> None:
+    code = BEFORE + ''.join(CHECK.format(parts=parts.split(), code=code) for parts, code in group)
     run = subprocess.run(
-        [sys.executable, '-c', BEFORE + code + after, *parts.split()],
-        cwd=ROOT, capture_output=True, text=True, check=False,
+        [sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert run.returncode == 0, run.stderr

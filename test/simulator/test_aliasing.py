@@ -5,7 +5,6 @@
 import math
 
 import numpy as np
-import pytest
 
 from ratslam_simulator.camera import CameraOptions
 from ratslam_simulator.office_tour import OfficeTour
@@ -52,23 +51,6 @@ def nearest_errors(views, poses, shift, pause):
         for row, compared in zip(found, (again, distance_m > FAR_M), strict=True):
             row[i] = error[compared].min(initial=np.inf)
     return found
-
-
-def test_nearest_errors_separates_revisits_from_look_alikes():
-    # A place, a distant place that looks similar, and the first place again.
-    views = np.array([[[0, 0]], [[10, 10]], [[0, 20]]], np.uint8)
-    poses = np.array([(0.0, 0.0, 0.0), (9.0, 0.0, 0.0), (0.1, 0.0, 0.1)])
-    revisit, look_alike = nearest_errors(views, poses, shift=0, pause=1)
-    assert revisit == pytest.approx([np.inf, np.inf, 10 / 255])
-    assert look_alike == pytest.approx([10 / 255, 10 / 255, 10 / 255])
-
-
-def test_nearest_errors_opposite_heading_is_no_revisit():
-    views = np.zeros((2, 1, 2), np.uint8)
-    poses = np.array([(0.0, 0.0, 3.1), (0.0, 0.0, 0.0)])
-    assert np.isinf(nearest_errors(views, poses, shift=0, pause=1)[0]).all()
-    poses[1, 2] = -3.1  # close to 3.1 rad across the wrap
-    assert nearest_errors(views, poses, shift=0, pause=1)[0][1] == 0.0
 
 
 def templates(image):

@@ -42,7 +42,7 @@ def test_slide_into_disc_stops_at_contact():
     assert free == (1.54, 1.5, False)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     st.floats(1.21, 5.79), st.floats(1.21, 3.79), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1),
     st.floats(1.0, 6.0), st.floats(1.0, 4.0),

@@ -13,7 +13,7 @@ from ratslam_ros.core.mapping.pose_hint import PoseHint
 CARRIED_TO = Pose(3.5, 1.75, 0.0)
 """A pose on the first side of the lap, in m."""
 
-SECONDS = 60.0
+SECONDS = 40.0
 
 
 def joined_m(mapped_loop, given):
@@ -60,7 +60,7 @@ def joined_m(mapped_loop, given):
 
 
 def test_right_hint_holds_at_once_and_wrong_one_is_refuted():
-    mapped = driven(FULL, values={'experience_map.exp_relocate': 'views'})
+    mapped = driven(FULL, values={'experience_map.exp_relocate': 'views'}, duration_s=90.0)
     carried_m, alone_m, _ = joined_m(mapped, None)
     hinted_m, _, _ = joined_m(mapped, CARRIED_TO)
     assert carried_m > 2.0 and hinted_m < 0.2

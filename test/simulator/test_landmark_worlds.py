@@ -178,16 +178,6 @@ def test_noise_of_odometry_grows_with_distance_and_turn() -> None:
     assert sd[2] == pytest.approx(vehicle.drift_sd_rad * math.sqrt(metres), rel=0.25)
 
 
-def test_exact_vehicle_drives_its_odometry() -> None:
-    world = scattered_bars(generator())
-    exact = Vehicle(position_sd_m=0.0, drift_sd_rad=0.0, turn_sd_rad=0.0)
-    start, steps = drive(world, lap(world, 12.5, 1.25), EXACT, generator(), exact)
-    pose = start
-    for step in steps:
-        pose = composed(pose, Pose(*step.motion))
-        assert pose == pytest.approx(step.pose, abs=1e-9)
-
-
 def test_random_poses_are_on_free_floor() -> None:
     world = room()
     assert world.plan is not None

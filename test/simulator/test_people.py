@@ -39,7 +39,7 @@ def walk(simulator, duration_s):
 @pytest.mark.parametrize('plan', [UNIVERSITY, LOOP], ids=['university', 'loop'])
 def test_people_keep_walking_without_overlap(plan):
     simulator = Simulator(plan, Pose(*plan.places['S'], 0.0), 2, BLIND, people=5)
-    seen = walk(simulator, 240.0)
+    seen = walk(simulator, 120.0)
     for positions in seen:
         assert min(clearance_m(plan, x_m, y_m) for x_m, y_m in positions) > PERSON_RADIUS_M - 1e-6
         apart_m = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1))
@@ -53,18 +53,12 @@ def test_people_keep_walking_without_overlap(plan):
         assert 's' * 20 not in still
 
 
-def test_people_cover_large_distances():
-    simulator = Simulator(UNIVERSITY, Pose(*UNIVERSITY.places['S'], 0.0), 4, BLIND, people=3)
-    seen = walk(simulator, 300.0)
-    assert (np.ptp(seen, axis=0).max(axis=1) > 10.0).all()
-
-
 def test_people_in_corridor_keep_right():
     world = build_world(CORRIDOR, rng())
     robot = Pose(0.8, 1.5, 0.0)
     people = People(world, 4, rng(1), robot, ROBOT_M)
     sides = []
-    for _ in range(40 * 240):
+    for _ in range(40 * 120):
         people.walk(robot, 0.025)
         for x_m, y_m, facing_rad, _ in world.people:
             if 4.0 < x_m < 16.0:

@@ -46,12 +46,6 @@ def test_odometry_without_errors_equals_truth():
     assert report.speed_mps == pytest.approx(0.5, abs=1e-6)
 
 
-def test_encoder_quantisation_causes_small_odometry_error():
-    coarse = RobotOptions(wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0)
-    truth, report = drive(coarse)
-    assert 0.0 < distance_m(truth, report.pose) < 0.05
-
-
 def test_odometry_error_grows_with_noise():
     errors_m = []
     for factor in (0.0, 1.0, 4.0):

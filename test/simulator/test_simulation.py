@@ -243,7 +243,7 @@ def test_unusable_starts_rates_and_commands_are_refused():
     assert max(s.odometry.speed_mps for s in run(fast, 6.0)) < 1.7
 
 
-@pytest.mark.parametrize('rate_hz', [1, 4, 7, 40])
+@pytest.mark.parametrize('rate_hz', [1, 7, 40])
 def test_camera_rate_gives_evenly_spread_images(rate_hz: int):
     camera = CameraOptions(width=4, height=2, rate_hz=rate_hz)
     images = [s for s in run(Simulator(LOOP, START, 0, SimulationOptions(camera=camera)), 3.0)

@@ -18,18 +18,18 @@ from ratslam_ros.results.trajectory import read_tum
 from ratslam_simulator.stand_ins import DATA_SETS, write_stand_in
 
 DOCS = Path(__file__).resolve().parents[2] / 'docs/experiments.md'
-SECONDS = 4.0
+SECONDS = 2.0
 IMAGE, ODOMETRY = 'sensor_msgs/msg/CompressedImage', 'nav_msgs/msg/Odometry'
 FORMATS = {
     'irat': (
-        (240, 320), 81, {
+        (240, 320), 41, {
             '/irat_red/camera/image/compressed': IMAGE, '/irat_red/odom': ODOMETRY,
             '/overhead/pose': 'geometry_msgs/msg/PoseStamped',
         },
     ),
-    'stlucia': ((480, 640), 41, {'/stlucia/camera/image/compressed': IMAGE}),
+    'stlucia': ((480, 640), 21, {'/stlucia/camera/image/compressed': IMAGE}),
     'newcollege': (
-        (128, 512), 21,
+        (128, 512), 11,
         {'/newcollege/camera/image/compressed': IMAGE, '/newcollege/odom': ODOMETRY},
     ),
 }
@@ -67,7 +67,7 @@ def test_stand_in_has_format_and_replays_with_documented_command(
     summary = json.loads((tmp_path / 'out/summary.json').read_text('utf-8'))
     assert summary['frames'] == count
     has_odometry = ODOMETRY in topics.values()
-    assert summary['odometry'] == (81 if has_odometry else count - 1)
+    assert summary['odometry'] == (41 if has_odometry else count - 1)
     assert summary.get('visual_odometry', False) != has_odometry
     assert summary['experiences'] >= 2
     if has_odometry:

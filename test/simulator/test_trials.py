@@ -29,7 +29,7 @@ def path_through(*points):
     return FloorPath(np.array(points, np.float64))
 
 
-@pytest.mark.parametrize('degrees', range(0, 91, 9))
+@pytest.mark.parametrize('degrees', (0, 27, 45, 90))
 def test_floor_path_across_room_is_nearly_straight(degrees):
     start = Pose(1.0, 1.0, 0.0)
     goal = 1.0 + 3.5 * math.cos(math.radians(degrees)), 1.0 + 3.5 * math.sin(math.radians(degrees))

@@ -115,12 +115,6 @@ def test_rows_restrict_the_judged_frames(trials):
     assert halves[0] == pytest.approx(halves[1], abs=0.15)
 
 
-@pytest.mark.parametrize(('precision', 'recall', 'expected'), [
-    (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.5, 0.5, 0.5)])
-def test_f_measure_of_equal_values_is_the_value(precision, recall, expected):
-    assert f_measure(precision, recall, 0.5) == pytest.approx(expected)
-
-
 def test_precision_counts_more_than_recall():
     assert f_measure(0.9, 0.6, 0.5) > f_measure(0.6, 0.9, 0.5)
     assert MapScore(0.9, 0.6, 1.0, 0.0).total == pytest.approx(f_measure(0.9, 0.6, 0.5))

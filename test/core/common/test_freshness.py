@@ -154,24 +154,6 @@ def test_old_regions_become_sparse_and_recent_ones_stay_dense() -> None:
     assert 250 > old > older > oldest > 10  # the general shape of every region is kept
 
 
-def test_without_a_full_memory_nothing_is_forced() -> None:
-    memory = explored(1200, 0.5)
-    assert memory.forced == 0
-    assert len(memory) == 1200
-
-
-def test_long_decay_time_leaves_room_for_old_regions() -> None:
-    """In the decay time, more items are created than the memory holds."""
-    kept = explored(80, 0.5).items
-    assert np.count_nonzero(kept < 1900) >= 20
-    assert np.count_nonzero(kept >= 1900) >= 40
-    assert 1999 in kept
-
-
-def test_if_everything_fades_the_latest_items_are_kept() -> None:
-    assert sorted(explored(50, 1.0).items.tolist()) == list(range(1950, 2000))
-
-
 def test_part_of_a_repeated_route_longer_than_the_memory_is_kept() -> None:
     """The items that were not observed for the longest time are the next ones on the route."""
     memory, hits = Freshness(0.5, 1000.0), 0
@@ -186,33 +168,6 @@ def test_part_of_a_repeated_route_longer_than_the_memory_is_kept() -> None:
             memory.remove(memory.candidate() or 0)
         memory.add(name)
     assert hits > 160  # of 320 possible ones
-
-
-def test_robust_item_outlives_items_seen_once() -> None:
-    memory = Freshness(1.0, 100.0)
-    memory.add(-1)
-    for name in range(500):
-        memory.advance(name * S)
-        if name in (20, 40):
-            memory.observe(-1)
-        if len(memory) == 30:
-            memory.remove(memory.candidate() or 0)
-        memory.add(name)
-    assert -1 in memory
-
-
-def test_observations_without_absence_are_one_visit() -> None:
-    memory = Freshness(1.0, 100.0)
-    memory.add(0)
-    for stamp_s in range(50):
-        memory.advance(stamp_s * S)
-        memory.observe(0)
-    memory.add(1)
-    memory.advance(200 * S)
-    for item in (0, 1):  # not robust: seen all the time, once
-        assert memory.candidate() == item
-        memory.remove(item)
-    assert memory.forced == 0
 
 
 @pytest.mark.parametrize('stamps_s', [(500, 510, 0, 5), (0, 5, 1000, 900, 910)])

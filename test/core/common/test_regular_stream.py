@@ -111,18 +111,6 @@ def test_any_arrival_gives_the_same_order(steps_ms: list[int], chance: random.Ra
     assert sorted(found[0]) == sorted((stream, stamp) for stamp, stream in by_stamp)
 
 
-def test_state_keeps_the_prediction_and_the_places() -> None:
-    order = regular_order()
-    last_ns = after_regular_odometry(order)
-    order.push('odometry', last_ns + 5 * MS, None)
-    state = json.loads(json.dumps(order.state()))
-    again = regular_order()
-    again.restore(state)
-    rest = [('template', last_ns + n * MS) for n in (2, 9, 14, 21, 40)]
-    assert pushed(again, rest) == pushed(order, rest)
-    assert again.state() == order.state()
-
-
 def test_old_state_without_prediction_is_restored() -> None:
     order: StampOrder[None] = StampOrder(STREAMS, 100)
     order.push('odometry', 5, None)

@@ -194,28 +194,6 @@ def test_island_is_left_after_one_round() -> None:
     assert min(x - 0.5, 12.5 - x, y - 0.5, 11.5 - y) < 1.4  # at the wall of the hall
 
 
-TABLE = parse_floor_plan("""
-##################
-#..........#.....#
-#..........#.....#
-#..........#.....#
-#...##...........#
-#...##...........#
-#...##...........#
-#..........#.....#
-#..........#.....#
-#..........#.....#
-##################
-""", 0.5)
-"""A room of 5 x 4.5 m with a table, which leaves a single lane along the walls."""
-
-
-def test_room_with_table_is_left() -> None:
-    run = explore(TABLE, Start(2.5, 1.6, 0.0), 90.0)  # with the table on its left
-    assert run.collisions == 0
-    assert run.positions()[:, 0].max() > 6.5
-
-
 @pytest.mark.parametrize('width', [2, 3])
 def test_dead_end_is_left(width: int) -> None:
     rows = ['#' + '.' * 12 + '#' * 9] * (5 - width) + ['#' + '.' * 20 + '#'] * width
@@ -234,9 +212,9 @@ def test_robot_without_near_wall_drives_to_one() -> None:
 
 
 def test_equal_seeds_give_equal_commands() -> None:
-    looks = LookBacks(every_m=0.5, back_m=0.1, change_wall_every_s=20.0)
+    looks = LookBacks(every_m=0.5, back_m=0.1, change_wall_every_s=5.0)
     first, again, other = (
-        explore(ROOM, Start(3.5, 3.0, 0.0), 60.0, looks, seed) for seed in (1, 1, 2)
+        explore(ROOM, Start(3.5, 3.0, 0.0), 40.0, looks, seed) for seed in (1, 1, 2)
     )
     assert first.commands == again.commands
     assert first.commands != other.commands

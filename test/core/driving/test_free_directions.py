@@ -21,7 +21,7 @@ from rooms import (
     way_to_point_m,
 )
 
-from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.driving import free_directions
@@ -30,7 +30,6 @@ from ratslam_ros.core.driving.free_directions import (
     WALL_DISTANCE_MOST_M,
     WALL_LOOK_AHEAD_M,
     WALLS,
-    Behaviour,
     DirectionCandidate,
     LocalMovement,
 )
@@ -89,43 +88,6 @@ def test_corridor_has_centreline_and_both_walls() -> None:
     assert centrelines_deg(candidates) == pytest.approx([0.0] * len(LOOKAHEADS_M), abs=1e-9)
 
 
-def test_wall_direction_at_wall_distance_is_parallel() -> None:
-    beside = 1.0 - P.wall_distance_m - 0.01
-    left = only(candidates_in(corridor(1.0), Pose(0.0, beside, 0.0), CLOSE), 'left_wall')
-    assert left.heading_rad == pytest.approx(0.0, abs=1e-9)
-    right = only(candidates_in(corridor(1.0), Pose(0.0, -beside, 0.0), CLOSE), 'right_wall')
-    assert right.heading_rad == pytest.approx(0.0, abs=1e-9)
-    nearer = only(candidates_in(corridor(1.0), Pose(0.0, beside + 0.1, 0.0), CLOSE), 'left_wall')
-    assert nearer.heading_rad < -STEP_RAD  # away from the wall
-
-
-def followed(half_width_m: float, side: Behaviour, y_m: float) -> float:
-    """Return the final y of a robot that follows a wall of a corridor for 8 m."""
-    pose = Pose(0.0, y_m, 0.0)
-    for _ in range(160):
-        movement = LocalMovement(P, scan_in(corridor(half_width_m), pose))
-        candidate = movement.along_wall(side, 0.0, math.pi / 2)
-        assert candidate is not None
-        turned = Pose(0.0, 0.0, max(-0.15, min(candidate.heading_rad, 0.15)))
-        pose = composed(composed(pose, turned), Pose(0.05, 0.0, 0.0))
-    return pose.y_m
-
-
-@pytest.mark.parametrize('y_m', [0.0, 0.5, -0.5])
-@pytest.mark.parametrize('side', WALLS)
-def test_wall_following_in_passage_keeps_middle(side: Behaviour, y_m: float) -> None:
-    assert followed(0.98, side, y_m) == pytest.approx(0.0, abs=0.25)
-
-
-@pytest.mark.parametrize('y_m', [1.7, 2.0, 2.4])
-@pytest.mark.parametrize(('side', 'sign'), [('left_wall', 1.0), ('right_wall', -1.0)])
-def test_wall_following_in_wide_room_keeps_larger_distance(
-    side: Behaviour, sign: float, y_m: float
-) -> None:
-    y_m = followed(3.0, side, sign * y_m)
-    assert 3.0 - sign * y_m == pytest.approx(WALL_DISTANCE_MOST_M, abs=0.2)
-
-
 @pytest.mark.parametrize('most_m', [WALL_DISTANCE_MOST_M, CLOSE])
 @pytest.mark.parametrize(('width_m', 'is_entered'), [(1.1, True), (0.9, True), (0.7, False)])
 def test_door_on_left_is_entered_if_wide_enough(
@@ -171,10 +133,6 @@ def test_t_junction_has_candidates_to_both_sides() -> None:
     assert len(centres) == 2 * len(LOOKAHEADS_M)
     assert centres == pytest.approx([-deg for deg in reversed(centres)])
     assert all(60.0 < deg < 90.0 for deg in centres[len(LOOKAHEADS_M) :])
-
-
-def test_distant_junction_has_one_centreline() -> None:
-    assert np.abs(centrelines_deg(candidates_in(t_junction(6.0)))).max() < 1.5
 
 
 @pytest.mark.parametrize('aside_m', [0.0, 0.25, -0.4])
@@ -235,9 +193,9 @@ def test_candidates_have_their_minimum_free_distance(ranges_m: list[float]) -> N
 
 
 @pytest.mark.parametrize('beams', [8, 60, 180])  # no beam is perpendicular to a direction
-@pytest.mark.parametrize('seed', range(20))
+@pytest.mark.parametrize('seed', range(4))
 def test_mirrored_scan_has_mirrored_candidates(seed: int, beams: int) -> None:
-    ranges_m = np.random.default_rng(seed).uniform(0.1, 1.0 + seed / 4.0, beams)
+    ranges_m = np.random.default_rng(seed).uniform(0.1, 1.0 + 1.5 * seed, beams)
     original, mirrored = (
         LocalMovement(P, scan_of_ranges(ranges)).candidates()
         for ranges in (ranges_m, ranges_m[::-1])
@@ -271,27 +229,6 @@ def test_scan_without_returns_is_free(nothing: float) -> None:
     assert {candidate.free_m for candidate in movement.candidates()} == {8.0}
     left, right = (only(movement.candidates(), side) for side in WALLS)
     assert (left.heading_rad, right.heading_rad) == (math.pi / 2, -math.pi / 2)
-
-
-def test_straight_directions_have_free_distance_of_body() -> None:
-    movement = LocalMovement(P, scan_in(t_junction(5.0)))
-    straight = movement.straight_directions()
-    assert [candidate.heading_rad for candidate in straight] == movement.headings_rad.tolist()
-    for candidate in straight:
-        assert candidate.behaviour == 'straight'
-        assert candidate.free_m == pytest.approx(movement.free_m(candidate.heading_rad))
-
-
-@pytest.mark.parametrize(('behaviour', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
-def test_along_wall_searches_given_sector(behaviour: Behaviour, side: float) -> None:
-    movement = LocalMovement(P, scan_in(corridor(1.5)))
-    anywhere = only(movement.candidates(), behaviour)
-    assert movement.along_wall(behaviour, 0.0, math.pi) == anywhere
-    within = movement.along_wall(behaviour, 0.0, 0.2)
-    assert within is not None
-    assert within.heading_rad == pytest.approx(0.2 * side, abs=math.radians(3.0))
-    across = LocalMovement(P, scan_in(corridor(0.6)))
-    assert across.along_wall(behaviour, side * math.pi / 2, 0.5) is None  # blocked by the wall
 
 
 def test_scan_points_start_at_minimum_angle() -> None:

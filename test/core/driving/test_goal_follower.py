@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 
@@ -53,27 +52,13 @@ def test_straight_route_is_driven_to_its_end() -> None:
     assert abs(drive.pose.y_m) < 0.1
 
 
-@pytest.mark.parametrize('side', [1.0, -1.0])
-def test_junction_follows_branch_of_route(side: float) -> None:
-    drive = Drive(t_junction(5.0), [(0.0, 0.0), (4.0, 0.0), (4.0, side * 5.0)])
+def test_junction_follows_branch_of_route() -> None:
+    drive = Drive(t_junction(5.0), [(0.0, 0.0), (4.0, 0.0), (4.0, 5.0)])
     commands = drive.steps(25.0)
-    assert drive.away_m(4.0, side * 5.0) < 0.3
+    assert drive.away_m(4.0, 5.0) < 0.3
     assert drive.nearest_m > P.robot_radius_m
     assert not any(command.failed for command in commands)
     assert 'turn' not in {command.behaviour for command in commands[:40]}
-
-
-def test_route_through_side_door_is_driven() -> None:
-    walls: list[Line] = [
-        [(-20.0, 1.0), (2.5, 1.0), (2.5, 6.0), (5.5, 6.0), (5.5, 1.0)],
-        [(2.5, 1.0), (3.5, 1.0)], [(4.5, 1.0), (20.0, 1.0)],
-        [(-20.0, -1.0), (20.0, -1.0)],
-    ]
-    drive = Drive(walls, [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
-    commands = drive.steps(25.0)
-    assert drive.away_m(4.0, 4.0) < 0.3
-    assert drive.nearest_m > P.robot_radius_m
-    assert not any(command.failed for command in commands)
 
 
 def test_displaced_route_is_followed_along_corridor() -> None:
@@ -177,7 +162,7 @@ def test_waiting_robot_turns_to_route() -> None:
     assert 0.0 < command.turn_rate_radps <= P.turn_rate_radps
 
 
-@pytest.mark.parametrize(('at_m', 'half_width_m'), [(2.1, 0.7), (2.1, 1.5), (2.17, 1.0)])
+@pytest.mark.parametrize(('at_m', 'half_width_m'), [(2.1, 1.5), (2.17, 1.0)])
 def test_robot_stops_before_blocked_passage(at_m: float, half_width_m: float) -> None:
     drive = Drive(dead_end(at_m, half_width_m), [(0.0, 0.0), (9.0, 0.0)])
     drive.steps(6.0)
@@ -234,22 +219,6 @@ def test_speed_allows_stopping_before_obstacles(
             assert gap_m > -1e-6
 
 
-@pytest.mark.parametrize('at_m', [0.27, 0.3, 0.36])
-def test_obstacle_within_stop_distance_stops_robot(at_m: float) -> None:
-    post: list[Line] = [[(at_m, 0.05), (at_m, -0.05)]]
-    assert command_for(post, AHEAD).speed_mps == 0.0
-
-
-@pytest.mark.parametrize('aside_m', [0.1, 0.0, -0.1])
-def test_obstacle_on_route_is_avoided(aside_m: float) -> None:
-    box: Line = [(3.0, aside_m + 0.2), (3.0, aside_m - 0.2), (3.3, aside_m - 0.2),
-                 (3.3, aside_m + 0.2), (3.0, aside_m + 0.2)]
-    drive = Drive([*corridor(1.5), box], [(0.0, 0.0), (7.0, 0.0)])
-    assert not any(command.failed for command in drive.steps(20.0))
-    assert drive.away_m(7.0, 0.0) < 0.3
-    assert drive.nearest_m > P.robot_radius_m
-
-
 # Learned walls
 
 
@@ -281,37 +250,20 @@ def test_wall_leading_away_from_route_is_left() -> None:
     assert drive.nearest_m > P.robot_radius_m
 
 
-@pytest.mark.parametrize('behaviour', ['left_wall', ''])
-def test_nearest_path_is_chosen_instead_of_wall(behaviour: str) -> None:
+def test_nearest_path_is_chosen_instead_of_wall() -> None:
     """Milford et al. (2006), section IV.C: the direction that is closest to the route."""
     found = []
     for choice in ('learned_wall', 'nearest'):
         drive = Drive(corridor(2.0), [(0.0, -0.5), (8.0, -0.5)])
         drive.follower = GoalFollower(replace(P, path_choice=choice))
-        drive.behaviour = behaviour
+        drive.behaviour = 'left_wall'
         drive.steps(6.0)
         found.append(drive.pose.y_m)
     assert found[1] == pytest.approx(-0.5, abs=0.05)
-    assert behaviour == '' or found[0] == pytest.approx(2.0 - WALL_DISTANCE_MOST_M, abs=0.1)
+    assert found[0] == pytest.approx(2.0 - WALL_DISTANCE_MOST_M, abs=0.1)
 
 
 # Robot frame
-
-
-@pytest.mark.parametrize('seed', range(5))
-def test_in_robot_frame_is_rigid_transform(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    x_m, y_m, heading = rng.uniform(-3.0, 3.0, 3).tolist()
-    positions_m = rng.normal(0.0, 5.0, (7, 2))
-    turned = np.array(
-        [[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]]
-    )
-    local_m = in_robot_frame(Pose(x_m, y_m, heading), positions_m)
-    assert local_m @ turned.T + [x_m, y_m] == pytest.approx(positions_m)
-    for a, b in itertools.combinations(range(7), 2):
-        assert math.dist(local_m[a], local_m[b]) == pytest.approx(
-            math.dist(positions_m[a], positions_m[b])
-        )
 
 
 def test_in_robot_frame_has_x_ahead_and_y_left() -> None:

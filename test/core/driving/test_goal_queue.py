@@ -20,8 +20,6 @@ from ratslam_ros.core.driving.goal_queue import GoalQueue, SoughtGoal, route_tow
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 
-UPDATES = 'cell', 'iteration'
-
 
 def square(x0: float, y0: float, x1: float, y1: float) -> Line:
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
@@ -34,15 +32,15 @@ RING = [square(-1.0, -1.0, 7.0, 5.0), square(1.0, 1.0, 5.0, 3.0)]
 class Robot:
     """A robot with exact odometry and a laser, without views."""
 
-    def __init__(self, update: str, walls: list[Line] = RING) -> None:
+    def __init__(self) -> None:
         cells = Config().with_values({
             'pose_cells.pc_dim_x': 60, 'pose_cells.pc_dim_y': 50,
             'pose_cells.pc_cell_x_size': 0.25,
         }).pose_cells
-        chosen = additions.GOAL_ROUTES.instead_of(GoalMemory, GoalMemoryParameters(True, update))
+        chosen = additions.GOAL_ROUTES.instead_of(GoalMemory, GoalMemoryParameters(True))
         self.cells, self.memory = PoseCells(cells), chosen(cells)
         self.queue, self.follower = GoalQueue(), GoalFollower(GoalFollowerParameters())
-        self.walls, self.pose, self.stamp_ns = list(walls), Pose(0.0, 0.0, 0.0), 0
+        self.walls, self.pose, self.stamp_ns = list(RING), Pose(0.0, 0.0, 0.0), 0
         self.nearest_m = math.inf
 
     def move(self, speed_mps: float, turn_rate_radps: float) -> None:
@@ -101,9 +99,9 @@ class Robot:
         return ended
 
 
-def ring(update: str, *further: tuple[float, float]) -> Robot:
+def ring(*further: tuple[float, float]) -> Robot:
     """Return a robot that was led round the ring, and then elsewhere."""
-    robot = Robot(update)
+    robot = Robot()
     robot.mark('home')
     robot.led((6.0, 0.0), (6.0, 4.0))
     robot.mark('far')
@@ -114,9 +112,8 @@ def ring(update: str, *further: tuple[float, float]) -> Robot:
 # Goals
 
 
-@pytest.mark.parametrize('update', UPDATES)
-def test_queued_goals_are_reached_in_order(update: str) -> None:
-    robot = ring(update, (2.0, 0.0))
+def test_queued_goals_are_reached_in_order() -> None:
+    robot = ring((2.0, 0.0))
     ended = robot.seek('far', 'home')
     assert [*ended] == ['far', 'home']
     assert ended['far'] == pytest.approx((6.0, 4.0), abs=0.5)
@@ -125,9 +122,8 @@ def test_queued_goals_are_reached_in_order(update: str) -> None:
     assert robot.sought() is None
 
 
-@pytest.mark.parametrize('update', UPDATES)
-def test_goal_marked_anew_changes_direction_at_once(update: str) -> None:
-    robot = ring(update, (3.0, 0.0))  # it heads along x
+def test_goal_marked_anew_changes_direction_at_once() -> None:
+    robot = ring((3.0, 0.0))  # it heads along x
     robot.queue.append('home')
     before = robot.sought()
     assert before is not None and before.bearing_rad is not None
@@ -140,7 +136,7 @@ def test_goal_marked_anew_changes_direction_at_once(update: str) -> None:
 
 
 def test_cancelling_empties_queue_and_ends_sought_goal() -> None:
-    robot = ring('cell')
+    robot = ring()
     assert robot.queue.cancel('cancelled') is None
     for name in ('far', 'home', 'home'):  # sent twice
         robot.queue.append(name)
@@ -154,7 +150,7 @@ def test_cancelling_empties_queue_and_ends_sought_goal() -> None:
 
 
 def test_goal_that_is_not_marked_is_given_up() -> None:
-    robot = ring('cell')
+    robot = ring()
     robot.queue.append('kitchen')
     robot.queue.append('home')
     sought = robot.sought()
@@ -166,19 +162,16 @@ def test_goal_that_is_not_marked_is_given_up() -> None:
 
 
 def test_blocked_way_is_avoided_by_another_one() -> None:
-    robot = ring('cell')
+    robot = ring()
     robot.walls.append([(2.5, -1.0), (2.5, 1.0)])  # from the left corner along x
     ended = robot.seek('far')
     assert ended['far'] == pytest.approx((6.0, 4.0), abs=0.5)
     assert robot.nearest_m > GoalFollowerParameters().robot_radius_m
 
 
-@pytest.mark.parametrize('update', UPDATES)
-def test_blocked_goal_is_given_up_and_next_one_sought(
-    update: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_blocked_goal_is_given_up_and_next_one_sought(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr('ratslam_ros.core.driving.goal_queue.MAX_TRY_COUNT', 4)
-    robot = ring(update, (1.5, 0.0))
+    robot = ring((1.5, 0.0))
     robot.walls += [[(3.0, -1.0), (3.0, 1.0)], [(3.0, 3.0), (3.0, 5.0)]]
     ended = robot.seek('far', 'home')
     assert ended['far'] == 'the way is blocked: 4 tries have failed'
@@ -186,7 +179,7 @@ def test_blocked_goal_is_given_up_and_next_one_sought(
 
 
 def test_goal_without_progress_is_given_up() -> None:
-    robot = ring('cell')
+    robot = ring()
     robot.queue.append('far')
     for _ in range(1198):
         sought = robot.sought()
@@ -199,7 +192,7 @@ def test_goal_without_progress_is_given_up() -> None:
 
 
 def test_stamps_that_jump_back_begin_the_time_limit_anew() -> None:
-    robot = ring('cell')
+    robot = ring()
     robot.queue.append('far')
     for stamp_s, is_over in ((1000, False), (500, False), (600, False), (620, True)):
         robot.stamp_ns = stamp_s * 10**9

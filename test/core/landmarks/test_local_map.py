@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import replace
 
@@ -125,15 +124,6 @@ def test_neighbours_seen_together_remain_two_landmarks() -> None:
         local.observe(Observations(np.array([[2.0, 0.0], [2.02, 0.03]])))
         local.predict(0.05, 0.0, 0.0)
     assert len(local) == 2
-
-
-def test_restored_local_map_continues_byte_for_byte() -> None:
-    local, other, rng = LocalMap(P), LocalMap(P), np.random.default_rng(3)
-    pose = driven(local, Pose(0.0, 0.0, 0.0), rng, True, 15)
-    other.restore(copy.deepcopy(local.state()))
-    for each in (local, other):
-        driven(each, pose, np.random.default_rng(4), True, 15)
-    assert packed(local) == packed(other)
 
 
 def test_nothing_seen_leaves_the_local_map_unchanged() -> None:

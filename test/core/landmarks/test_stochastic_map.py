@@ -210,19 +210,6 @@ def test_removal_leaves_the_marginal_distribution(seed: int, names: set[int]) ->
     assert (built.pose_covariance == covariance).all()
 
 
-def test_removed_landmark_that_never_helped_leaves_no_trace() -> None:
-    built, other = StochasticMap(P), StochasticMap(P)
-    for each in (built, other):
-        each.predict(1.0, 0.2, 0.3)
-        each.observe(point(2.0, 0.5, 1))
-    built.observe(point(4.0, -0.5, 2))
-    built.remove([2])
-    for each in (built, other):
-        each.predict(0.3, 0.0, 0.1)
-        each.observe(point(1.8, 0.6, 1))
-    assert packed(built) == packed(other)
-
-
 def test_removing_an_unknown_landmark_changes_nothing() -> None:
     built, _ = mapped(0, 5)
     before = packed(built)
@@ -322,17 +309,6 @@ def test_new_landmark_is_correlated_with_the_rest() -> None:
     assert built.features().values == pytest.approx(sample.mean(axis=0)[3:], abs=3e-3)
 
 
-def test_relocated_robot_is_corrected_by_its_landmarks() -> None:
-    built, world = mapped(3)
-    kidnapped = Pose(world.pose.x_m + 0.3, world.pose.y_m - 0.2, world.pose.heading_rad + 0.1)
-    built.move_to(kidnapped, np.diag([0.2, 0.2, 0.05]))
-    assert (built.covariance[:3, 3:] == 0.0).all()
-    observed = built.observe(world.look())
-    assert len(observed.updated) > 3 and len(observed.rejected) == 0
-    error = np.hypot(built.pose.x_m - world.pose.x_m, built.pose.y_m - world.pose.y_m)
-    assert error < 3.0 * math.sqrt(np.trace(built.pose_covariance[:2, :2]))
-
-
 def test_repeated_observations_from_one_place_count_once() -> None:
     built = StochasticMap(replace(P, repeat_m=0.5))
     built.observe(point(3.0, 0.2, 1))
@@ -353,16 +329,6 @@ def test_points_and_bars_share_what_they_have() -> None:
     assert (observed.updated.tolist(), observed.added.tolist()) == ([1], [2])
     assert built.features().are_bars.tolist() == [False, True]
     assert built.observe(point(4.0, -0.4, 2)).updated.tolist() == [2]
-
-
-def test_moved_origin_keeps_what_the_robot_sees() -> None:
-    built, _ = mapped(4)
-    before = built.seen_from_robot()
-    built.move_origin()
-    assert built.pose == START and not built.pose_covariance.any()
-    after = built.features()
-    assert (after.values == before.values).all()
-    assert (after.covariance == before.covariance).all()
 
 
 def test_seen_features_have_the_covariance_of_their_errors() -> None:

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from graphs import NONE, arrive, drive, go, new_map, pose_is_near
 from helpers import ahead, restored, turning
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
@@ -51,19 +49,6 @@ def test_creating_an_experience_keeps_the_robot_pose(relative_rad: float) -> Non
         drive(graph, turning(0.4), ahead(1.0))
 
 
-def test_map_starts_at_initial_heading() -> None:
-    map_140, map_270 = new_map(exp_initial_em_deg=140.0), new_map(exp_initial_em_deg=-270.0)
-    assert pose_is_near(map_140.pose, 0.0, 0.0, math.radians(140.0))
-    assert pose_is_near(map_270.pose, 0.0, 0.0, math.pi / 2)
-
-
-def test_first_experience_has_no_link() -> None:
-    graph = new_map()
-    arrive(graph, 0)
-    assert graph.link_count == 0
-    assert len(graph) == 1
-
-
 # The pose between experiences
 
 
@@ -96,16 +81,6 @@ def test_pose_between_experiences_integrates_odometry() -> None:
         if step % 20 == 0:
             arrive(graph, len(graph))
         assert pose_is_near(graph.pose, *expected, 1e-9)
-
-
-@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 3), st.floats(-5, 5), st.floats(-3, 3))
-def test_composed_pose_equals_integrated_motion(
-    x: float, y: float, heading: float, distance: float, turn: float
-) -> None:
-    base = Pose(x, y, heading)
-    motion = Motion(0.1, distance, turn)
-    end = moved(base, motion)
-    assert pose_is_near(composed(base, moved(Pose(0.0, 0.0, 0.0), motion)), *end, 1e-9)
 
 
 # Actions

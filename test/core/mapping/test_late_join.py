@@ -49,20 +49,6 @@ def drive(
         apply(graph, joining, item, sequence, memory_ns)
 
 
-def test_started_together_translate_returns_actions_unchanged() -> None:
-    graph, joining = new_map()
-    direct = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
-    for sequence, item in circles_of_actions(5, 3):
-        for one in (graph, direct):
-            one.integrate(ahead(STEP_M))
-        translated = joining.translate(item, sequence, MEMORY_NS)
-        assert translated == item
-        graph.apply(translated)
-        direct.apply(item)
-    assert encode_map(1, graph) == encode_map(1, direct)
-    assert (joining.missed, joining.restarts, joining.first_sequence) == (0, 0, 0)
-
-
 def test_late_map_creates_unknown_experiences() -> None:
     graph, joining = new_map()
     actions = list(circles_of_actions(5, 3))

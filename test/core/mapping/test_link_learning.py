@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from graphs import NONE, arrive, go, new_map, set_current
+from graphs import arrive, go, new_map, set_current
 from helpers import ahead, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from route_maps import is_exact, remaining_s
+from route_maps import remaining_s
 from states import filed
 
 from ratslam_ros.core.common.odometry import Motion
@@ -158,19 +158,6 @@ def check_equation_9(seed: int, count: int, threshold: float) -> None:
     assert set(components(graph)) == {0}
 
 
-def test_wrong_link_is_unlearned_after_minimum_tries() -> None:
-    graph = new_map()
-    for target in (0, 1, 2, 0, 2, 0, 1):  # the transition 0 -> 2 skips 1, once
-        step(graph, target)
-    for tries in range(2, 9):
-        step(graph, 0)
-        assert (0, 2) in link_pairs(graph)
-        assert confidence(graph, 0, 2) == 1 / (1 + tries)
-        step(graph, 1)
-    assert (0, 2) not in link_pairs(graph)
-    assert graph.link_table.deletion_count == 1
-
-
 def test_equation_9_as_printed_unlearns_without_further_conditions() -> None:
     """1 of 4 attempts is not below 0.25; 1 of 5 is."""
     graph = new_map(exp_unlearning='equation', exp_confidence_threshold=0.25)
@@ -184,7 +171,7 @@ def test_equation_9_as_printed_unlearns_without_further_conditions() -> None:
     assert (0, 1) in link_pairs(graph)
 
 
-@pytest.mark.parametrize('successors', [2, 3, 5, 7])
+@pytest.mark.parametrize('successors', [2, 7])
 def test_alternating_successors_are_all_kept(successors: int) -> None:
     """Several experiences represent one place, and the recognised one varies."""
     graph = new_map()
@@ -212,18 +199,6 @@ def test_branch_without_detour_is_kept_despite_low_confidence() -> None:
     for target in (0, 1) * 2:
         step(graph, target)
     assert (0, 2) not in link_pairs(graph)
-
-
-def test_transitions_without_behaviour_unlearn_nothing() -> None:
-    graph, reference = (new_map(exp_confidence_threshold=share) for share in (0.9, 0.0))
-    rng = random.Random(3)
-    for n in range(400):
-        target = n if n < 20 else rng.randrange(20)
-        for one in (graph, reference):
-            one.integrate(Motion(0.1, 1.0 + 0.01 * n, 0.3))
-            arrive(one, target)
-    assert encode_map(1, graph) == encode_map(1, reference)
-    assert not graph.state()['failures'].any()
 
 
 # Time-outs
@@ -344,19 +319,6 @@ def test_leading_ahead_selects_links_by_distance_and_direction(
 # The remaining map
 
 
-def test_disconnected_components_are_not_moved() -> None:
-    graph = corridor()
-    before = graph.poses
-    set_current(graph, 4)
-    for _ in range(4):
-        graph.unlearn_blocked(WALL, 0.0)
-    assert len(set(components(graph))) > 1
-    for _ in range(3):
-        graph.settle()
-        graph.apply(NONE)
-    assert np.abs(graph.poses - before).max() < 1e-9
-
-
 def test_inconsistent_component_keeps_its_lowest_experience() -> None:
     graph = new_map()
     arrive(graph, 0, behaviour=WALL)
@@ -389,7 +351,7 @@ def drive_randomly(graph: ExperienceMap, rng: random.Random, steps: int) -> None
             arrive(graph, target, behaviour=rng.choice([WALL, 'turn', '']))
 
 
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', range(2))
 def test_restored_map_continues_bit_identically(
     seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -407,24 +369,3 @@ def test_restored_map_continues_bit_identically(
         drive_randomly(one, rng, 200)
     assert encode_map(1, graph) == encode_map(1, other)
     assert np.array_equal(graph.state()['failures'], other.state()['failures'])
-
-
-@pytest.mark.parametrize('seed', range(3))
-def test_routes_follow_unlearned_links(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_learning, 'MIN_TRIES', 2)
-    rng = random.Random(seed)
-    graph = new_map(exp_confidence_threshold=0.4, exp_try_radius_m=2.0)
-    drive_randomly(graph, rng, 60)
-    planner = RoutePlanner(GoalRecallParameters(), graph)
-    tree = GoalTree(planner, 3)
-    for _ in range(60):
-        drive_randomly(graph, rng, 5)
-        for link in graph.links():
-            behaviour = graph.behaviour_between(link.source_id, link.target_id)
-            assert behaviour == link.behaviour
-        fresh = planner.temporal_map(3).arrival_s
-        for start in range(len(graph)):
-            assert math.isfinite(remaining_s(tree, start)) == math.isfinite(fresh[start])
-        if is_exact(tree):
-            assert remaining_s(tree, 7) == pytest.approx(float(fresh[7]))
-    assert graph.link_table.deletion_count > 5

@@ -84,16 +84,6 @@ def test_repeated_transition_averages_link_in_polar_form() -> None:
     assert out.duration_s == pytest.approx(5.0)
 
 
-def test_return_transition_adds_a_second_link() -> None:
-    graph = unrelaxed_map()
-    arrive(graph, 0)
-    go(graph, 1, ahead(1.0))
-    go(graph, 0, turning(math.pi), ahead(1.0), relative_rad=math.pi)
-    assert [(k.source_id, k.target_id) for k in graph.links()] == [(0, 1), (1, 0)]
-    back = graph.links()[1]
-    assert angles_are_near(back, math.pi, 0.0)
-
-
 @given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.1, 5.0))
 def test_link_facing_excludes_the_relative_heading(
     turn: float, relative_rad: float, distance: float

@@ -93,17 +93,6 @@ def test_scans_confirm_a_pose_only_in_the_main_component() -> None:
     assert graph.localisation == 'unknown'
 
 
-@pytest.mark.parametrize('reason', ['', 'laser scans contradict it'])
-def test_restored_map_keeps_the_localisation(reason: str) -> None:
-    graph, other = corridor(), new_map()
-    if reason:
-        graph.lose(reason)
-    other.restore(graph.state())
-    assert other.localisation == graph.localisation
-    assert other.covariance.reason == reason
-    assert np.array_equal(other.covariance.matrix, graph.covariance.matrix)
-
-
 def test_map_saved_without_uncertainty_has_an_unknown_pose() -> None:
     graph, other = corridor(), new_map()
     state = graph.state()

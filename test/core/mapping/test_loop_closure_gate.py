@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from functools import partial
 
@@ -22,7 +21,6 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import (
     LONG_KNOWN_M,
     REQUIRED_COUNT,
-    SPOT_SPACING_M,
     Excess,
     LoopClosureGate,
     long_known_experience,
@@ -59,11 +57,6 @@ def test_allowed_displacement_grows_with_path_length() -> None:
     assert exceeds(Pose(3.0, 0.0, 0.0), 20)
     assert not exceeds(Pose(2.0, 0.0, 0.0), 100)
     assert not exceeds(Pose(3.0, 0.0, 0.0), 20, OdometryVariance(0.04))
-
-
-def test_drift_of_the_heading_displaces_more_sideways() -> None:
-    assert exceeds(Pose(4.0, 0.0, 0.0), 60)
-    assert not exceeds(Pose(0.0, 4.0, 0.0), 60)
 
 
 def test_rotation_beyond_drift_exceeds_it() -> None:
@@ -142,17 +135,6 @@ def test_agreeing_recognitions_prevent_a_relocation() -> None:
             assert gate.rejecting
 
 
-def test_relocated_robot_may_turn_at_each_spot() -> None:
-    gate, relocation = LoopClosureGate(), Pose(7.0, -3.0, 1.0)
-    for n in range(REQUIRED_COUNT):
-        for turn_rad in (0.0, math.pi / 2):
-            here = Pose(0.4 * n, 0.0, turn_rad)
-            accepted = gate.record_closure(here, composed(relocation, here))
-            if accepted:
-                break
-    assert accepted
-
-
 def test_new_place_at_a_spot_keeps_its_closure() -> None:
     gate = LoopClosureGate()
     accepted = []
@@ -172,28 +154,6 @@ def test_first_closure_after_restart_is_accepted() -> None:
     gate.restart()
     gate.record_agreement(ORIGIN)  # the robot was not carried
     assert not gate.record_closure(ORIGIN, Pose(9.0, 0.0, 0.0))
-
-
-def test_restored_gate_keeps_the_evidence() -> None:
-    gate = LoopClosureGate()
-    for n in range(REQUIRED_COUNT - 1):
-        gate.record_closure(here := Pose(0.4 * n, 0.0, 0.0), composed(Pose(9.0, 0.0, 0.0), here))
-    again = LoopClosureGate()
-    again.restore(json.loads(json.dumps(gate.state())))
-    last = Pose(0.4 * REQUIRED_COUNT, 0.0, 0.0)
-    for one in (gate, again):
-        assert one.record_closure(last, composed(Pose(9.0, 0.0, 0.0), last))
-        assert (one.rejected_count, one.relocation_count) == (REQUIRED_COUNT - 1, 1)
-
-
-def test_dense_closures_are_accepted_after_the_same_distance() -> None:
-    gate = LoopClosureGate()
-    for n in range(200):  # 10 m in steps of 5 cm
-        here = Pose(0.05 * n, 0.0, 0.0)
-        if gate.record_closure(here, composed(Pose(9.0, 0.0, 0.0), here)):
-            break
-    assert gate.relocation_count == 1
-    assert here.x_m == pytest.approx((REQUIRED_COUNT - 1) * SPOT_SPACING_M, abs=0.35)
 
 
 PROVEN = Pose(9.0, 2.0, 0.5)

@@ -87,13 +87,3 @@ def test_unknown_motion_is_not_measured() -> None:
         noise.integrate(ahead(LEG_M))
         noise.recognise(Pose(50.0 * x_m, 0.0, 0.0), 0.0, SPACING_M)
     assert (noise.std, noise.std_rad) == (PRIOR_STD, PRIOR_STD_RAD)
-
-
-def test_restored_noise_continues_alike() -> None:
-    noise, other = driven(0.3, legs=200), OdometryNoise()
-    other.restore(noise.state())
-    for one in (noise, other):
-        one.integrate(ahead(LEG_M))
-        one.recognise(Pose(0.0, 0.0, 0.0), 0.2, SPACING_M)
-    assert other.state() == noise.state()
-    assert (other.std, other.std_rad) == (noise.std, noise.std_rad)

@@ -217,9 +217,7 @@ def driven_polygon(
     return graph
 
 
-@pytest.mark.parametrize('sides', [3, 4, 7, 12])
-@pytest.mark.parametrize('sense', [1.0, -1.0])
-@pytest.mark.parametrize('correction', [0.1, 0.5])
+@pytest.mark.parametrize(('sides', 'sense', 'correction'), [(3, 1.0, 0.5), (12, -1.0, 0.1)])
 def test_consistent_loop_is_not_moved(sides: int, sense: float, correction: float) -> None:
     turn_rad = sense * 2.0 * math.pi / sides
     unrelaxed, relaxed = (
@@ -237,34 +235,6 @@ def test_first_experience_is_never_moved() -> None:
     for target in (1, 2, 0, 2, 1, 0):
         go(graph, target, ahead(1.0), turning(0.7))
     assert pose_is_near(graph.pose_of(0), 0.0, 3.0, math.pi / 2)
-
-
-def test_sweeps_distribute_loop_error_over_links() -> None:
-    graph = driven_polygon(12, 2.0 * math.pi / 12 + 0.03, 0)
-    before = residuals_of(graph)
-    assert np.abs(before[:-1]).max() < 1e-9
-    assert abs(before[-1, 2]) == pytest.approx(12 * 0.03)
-    graph = restored(graph, sweeping(100))
-    for _ in range(20):
-        graph.apply(NONE)
-    after = residuals_of(graph)
-    assert np.abs(after[:, 2]).max() < 0.2 * abs(before[-1, 2])
-    assert np.hypot(*after[:, :2].T).max() < 0.3 * np.hypot(*before[-1, :2])
-    assert (np.abs(after[:, 2]) > 1e-3).sum() >= 10
-
-
-def test_small_sweeps_converge_to_equation_7() -> None:
-    """With small corrections: the least squares of the headings, an equal residual per link."""
-    graph = driven_polygon(8, 2.0 * math.pi / 8 + 0.02, 0)
-    graph = restored(graph, sweeping(10_000, 0.002))
-    for _ in range(3):
-        graph.apply(NONE)
-    e = residuals_of(graph)
-    assert e[:, 2] == pytest.approx(np.full(8, e[:, 2].mean()), abs=2e-4)
-    assert abs(e[:, 2].sum()) == pytest.approx(8 * 0.02, abs=1e-9)
-    for axis in range(3):  # residuals balance at each experience except the fixed one
-        for k in range(1, 8):
-            assert e[k - 1, axis] == pytest.approx(e[k, axis], abs=1e-3)
 
 
 def test_small_sweeps_converge_to_the_direct_solution() -> None:
@@ -299,19 +269,6 @@ def test_sweeps_restore_a_disturbed_consistent_map(seed: int, count: int) -> Non
     assert (np.abs(graph.poses[:, 2]) <= math.pi).all()
     assert np.hypot(*(graph.poses - expected)[:, :2].T).max() < 0.02 * count
     assert max(abs(wrap(d)) for d in (graph.poses - expected)[:, 2]) < 0.01
-
-
-def test_sweeps_correct_headings_across_half_a_turn() -> None:
-    graph = new_map(exp_loops=0)
-    arrive(graph, 0)
-    go(graph, 1, turning(math.pi - 0.05), ahead(1.0))
-    drive(graph, turning(math.pi - 0.05), ahead(1.0))  # 0.1 rad short of a full turn
-    arrive(graph, 0)
-    graph = restored(graph, sweeping(200, 0.05))
-    for _ in range(5):
-        graph.apply(NONE)
-    assert abs(wrap(graph.pose_of(1).heading_rad - math.pi)) < 0.01
-    assert np.abs(residuals_of(graph)[:, 2]).max() < 0.06
 
 
 def test_action_none_is_followed_by_sweeps() -> None:

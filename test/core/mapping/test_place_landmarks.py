@@ -94,12 +94,3 @@ def test_number_of_landmarks_is_limited(monkeypatch: pytest.MonkeyPatch) -> None
         landmarks.add(2, HERE, np.array([[n, 5.0, 0.0, 0.0]]), POSES)
     assert len(landmarks) == 4
     assert landmarks.on_map(POSES) == pytest.approx(CORNERS)
-
-
-def test_restored_landmarks_are_the_same() -> None:
-    landmarks, again = learned(), PlaceLandmarks()
-    again.restore(landmarks.state())
-    for one in (landmarks, again):
-        one.add(2, HERE, seen_from(POSES[2]), POSES)
-    for name, value in landmarks.state().items():
-        assert np.array_equal(again.state()[name], value)

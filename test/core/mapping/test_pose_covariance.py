@@ -61,15 +61,6 @@ def test_covariance_on_the_map_turns_with_the_robot() -> None:
     assert covariance.position_std_m == pytest.approx(math.sqrt(across_m2))
 
 
-def test_heading_error_displaces_the_end_of_a_drive() -> None:
-    covariance = PoseCovariance()
-    covariance.replace(isotropic(0.0, 0.1))
-    covariance.integrate(Motion(1.0, 3.0, 0.0), OdometryVariance(0.0))
-    assert covariance.matrix[1, 1] == pytest.approx(0.1**2 * 3.0**2)
-    covariance.fuse(isotropic(0.01, 10.0))  # the position tells the heading as well
-    assert covariance.matrix[2, 2] == pytest.approx(0.01**2 / 3.0**2, rel=0.01)
-
-
 def test_fused_measurements_add_their_information() -> None:
     start, measured = driven(PATH, isotropic(0.3, 0.2)), isotropic(0.2, 0.1)
     expected = np.linalg.inv(np.linalg.inv(start.matrix) + np.linalg.inv(measured))

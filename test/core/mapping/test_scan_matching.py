@@ -76,26 +76,6 @@ def test_create_with_used_id_replaces_its_scan() -> None:
     assert locate(matcher, tick, map_action('set', 0)) is not None
 
 
-def test_restored_scan_matcher_keeps_the_scans() -> None:
-    matcher = ScanMatcher()
-    _, tick = drive(matcher, ROOM, ORIGIN, 0, 4, still=True)
-    locate(matcher, tick, map_action('create', 0))
-    _, tick = drive(matcher, HALL, ORIGIN, tick, 4, still=True)
-    locate(matcher, tick, map_action('create', 7))
-    copy = ScanMatcher()
-    copy.restore(matcher.state())
-    found = []
-    for one in (matcher, copy):
-        one.restart()
-        pose, end = drive(one, HALL, Pose(0.1, 0.1, 0.1), tick, 4, still=True)
-        found.append(locate(one, end, map_action('link', 7)))
-    assert found[0] == found[1]
-    assert pose_error(found[0], pose)[0] < 0.03
-    empty = ScanMatcher()
-    empty.restore(ScanMatcher().state())
-    assert locate(empty, 0, map_action('link', 0)) is None
-
-
 def test_stamp_jump_back_discards_older_scans() -> None:
     matcher = ScanMatcher()
     _, tick = drive(matcher, ROOM, ORIGIN, 50, 4, still=True)

@@ -87,14 +87,6 @@ def test_sessions_on_one_track_become_one_map(links: bool) -> None:
     assert max(place_errors_m(merged, robots, 1)) < 0.6
 
 
-def test_parts_of_the_track_are_put_together() -> None:
-    robots = robot(0, 40), robot(25, 40, noise=2), robot(50, 40, noise=3)
-    merged = merged_of(*robots)
-    assert size(merged)[2] == 1
-    for number in (1, 2):  # no loop is closed, so the drift of the odometry remains
-        assert max(place_errors_m(merged, robots, number)) < 3.0
-
-
 def test_component_is_joined_through_another_session() -> None:
     first = Robot(0, noise=1).forward(30)
     first.carry(25)
@@ -126,7 +118,7 @@ def test_few_shared_places_are_refused() -> None:
     assert size(merged)[2] == 2
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(st.permutations(range(4)))
 def test_order_of_the_sessions_does_not_matter(order: list[int]) -> None:
     robots = robot(0, 60), robot(30, 60, noise=2), robot(0, 40, floor=2), robot(50, 50, noise=3)
@@ -137,7 +129,7 @@ def test_order_of_the_sessions_does_not_matter(order: list[int]) -> None:
     assert merged.joins == expected.joins
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(st.integers(0, LAP - 1), st.integers(2, 90), st.integers(1, 3))
 def test_merging_a_map_with_itself_changes_nothing(start: int, steps: int, copies: int) -> None:
     session = Robot(start, noise=1).forward(steps).session('x')
@@ -151,9 +143,8 @@ def test_merging_a_merged_map_changes_nothing() -> None:
     assert flat(merge_sessions([one, one]).states) == flat(merged.states)
 
 
-@pytest.mark.parametrize('links', [False, True])
-def test_merging_a_part_again_adds_nothing(links: bool) -> None:
-    robots = robot(0, 100, links=links), robot(30, 100, noise=2, links=links)
+def test_merging_a_part_again_adds_nothing() -> None:
+    robots = robot(0, 100, links=True), robot(30, 100, noise=2, links=True)
     merged = merged_of(*robots)
     again = merge_sessions([
         Session('merged', merged.config, merged.states), robots[1].session('again')

@@ -66,11 +66,9 @@ def test_replaced_back_factor_updates_tree() -> None:
 
 
 @pytest.mark.parametrize('parameters', [PARAMETERS, ONE_WAY, NEVER_BACK])
-@pytest.mark.parametrize('islands', [False, True])
-@pytest.mark.parametrize('per_change', [0, 5, 2000])
+@pytest.mark.parametrize('per_change', [0, 2000])
 def test_tree_is_exact_or_leads_to_goal(
-    monkeypatch: pytest.MonkeyPatch, islands: bool, per_change: int,
-    parameters: GoalRecallParameters,
+    monkeypatch: pytest.MonkeyPatch, per_change: int, parameters: GoalRecallParameters
 ) -> None:
     monkeypatch.setattr(goal_tree, 'EXPERIENCES_PER_CHANGE', per_change)
     rng = np.random.default_rng(0)
@@ -78,9 +76,9 @@ def test_tree_is_exact_or_leads_to_goal(
     tree = GoalTree(RoutePlanner(parameters, graph), 1)
     back = parameters.route_back_factor or math.inf
     exact = []
-    for _ in range(50):
+    for _ in range(30):
         for _ in range(rng.integers(1, 4)):
-            wander(graph, rng, islands)
+            wander(graph, rng, islands=True)
         times = times_to(graph, 1, back)
         exact.append(is_exact(tree))
         for start, time in enumerate(times):
@@ -144,12 +142,11 @@ def test_large_stale_tree_is_recomputed_after_several_changes(
 
 
 @pytest.mark.parametrize('parameters', [PARAMETERS, ONE_WAY])
-@pytest.mark.parametrize('seed', range(4))
 def test_routes_avoid_removed_links(
-    monkeypatch: pytest.MonkeyPatch, seed: int, parameters: GoalRecallParameters
+    monkeypatch: pytest.MonkeyPatch, parameters: GoalRecallParameters
 ) -> None:
     monkeypatch.setattr(goal_tree, 'EXPERIENCES_PER_CHANGE', 0)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     graph = line(8)
     for _ in range(20):
         wander(graph, rng)

@@ -29,7 +29,7 @@ Dims = tuple[int, int, int]
 Arc = tuple[int, int]
 """First cell on an axis and number of cells; the first cell may lie outside the axis range."""
 
-RUN_COUNT, STEP_COUNT = 3, 200
+RUN_COUNT, STEP_COUNT = 1, 200
 """Runs per world, and steps per run. The feedback of the network amplifies rounding differences:
 two references that start 1e-15 apart differ by up to 1e-12 after 200 steps, 1e-9 after 600."""
 
@@ -444,12 +444,12 @@ def test_packets_equal_dense_reference_at_every_step(world: World, seed: int) ->
 def test_runs_cover_all_events() -> None:
     """The comparison covers packets that merge, die and wrap around."""
     seen = sum((run(world, seed) for world in WORLDS for seed in range(RUN_COUNT)), Counter[str]())
-    assert seen['steps'] == len(WORLDS) * RUN_COUNT * STEP_COUNT == 6_000
-    assert seen['steps with several'] >= 600
+    assert seen['steps'] == len(WORLDS) * RUN_COUNT * STEP_COUNT == 2_000
+    assert seen['steps with several'] >= 200
     least = {
-        'injections that join': 300, 'injections apart': 60, 'merges': 300, 'deaths': 30,
-        'splits': 60, 'circles opened': 180, 'peaks': 1_200,
+        'injections that join': 100, 'injections apart': 20, 'merges': 100, 'deaths': 10,
+        'splits': 20, 'circles opened': 60, 'peaks': 400,
     }
     for axis in range(3):
-        least |= {f'whole on {axis}': 120, f'over the end of {axis}': 120}
+        least |= {f'whole on {axis}': 40, f'over the end of {axis}': 40}
     assert {what: seen[what] for what, count in least.items() if seen[what] < count} == {}

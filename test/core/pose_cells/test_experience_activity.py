@@ -15,7 +15,6 @@ from ratslam_ros.core.pose_cells.experience_activity import activity
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
-from ratslam_ros.core.vision.local_view import UNDECODABLE
 
 TORUS = Torus(21, 30, 36)
 CELL = st.floats(-50.0, 50.0)
@@ -52,22 +51,6 @@ def drive(pose_cells: PoseCells, templates: list[int], distance_m: float) -> lis
     return actions
 
 
-def test_active_experiences_match_view_and_are_near_peak() -> None:
-    pose_cells = cells(exp_delta_pc_threshold=0.8, exp_activity_xy=2.0)
-    assert pose_cells.active_experiences() == []
-    drive(pose_cells, [0, 0, 0, 0], 1.0)
-    active = pose_cells.active_experiences()
-    assert [i for i, _ in active] == [3, 2]
-    assert active[0][1] == pytest.approx(2.0, abs=0.05)
-    assert active[1][1] == pytest.approx(1.5, abs=0.05)
-    drive(pose_cells, [1], 0.0)  # experiences of other views are inactive
-    assert pose_cells.active_experiences() == []
-    pose_cells.view(seen(0))
-    assert [i for i, _ in pose_cells.active_experiences()] == [3, 2]
-    pose_cells.view(UNDECODABLE)
-    assert pose_cells.active_experiences() == []
-
-
 def test_activity_uses_heading_of_the_view() -> None:
     pose_cells = cells()
     drive(pose_cells, [0], 1.0)
@@ -96,16 +79,6 @@ def test_most_active_experience_becomes_current_or_one_is_created() -> None:
         *[('none', 1)] * 3, ('link', 0), ('none', 0),
     ]
     assert [a.action for a in drive(pose_cells, [0] * 3, 0.7)] == ['none', 'set', 'none']
-
-
-def test_higher_threshold_creates_more_experiences() -> None:
-    created = [
-        sum(a.action == 'create' for a in drive(
-            by_activity(exp_activity_threshold=threshold), [0] * 40, 0.25
-        ))
-        for threshold in (0.0, 1.2, 1.8)
-    ]
-    assert created[0] < created[1] < created[2]
 
 
 def test_stationary_robot_with_alternating_views_keeps_current_experience() -> None:

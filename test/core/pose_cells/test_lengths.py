@@ -94,7 +94,7 @@ def test_distances_driven_over_known_ground_are_not_measured() -> None:
     assert pose_cells.lengths.spacing_m == before
 
 
-@pytest.mark.parametrize('scale', [0.03, 0.25, 40.0])
+@pytest.mark.parametrize('scale', [0.03, 40.0])
 def test_scaled_world_gives_same_decisions(scale: float) -> None:
     one, other = PoseCells(automatic()), PoseCells(automatic())
     expected = decisions(drive(one, 0, 3 * PER_LAP))
@@ -120,7 +120,7 @@ def test_rescaled_places_keep_their_distances() -> None:
     assert distance_m == pytest.approx(expected_m, rel=0.02)
 
 
-@pytest.mark.parametrize('views', [3, MIN_GAPS_COUNT + 3, PER_LAP + 9, 2 * PER_LAP])
+@pytest.mark.parametrize('views', [3, PER_LAP + 9])
 def test_restored_lengths_continue_identically(views: int) -> None:
     pose_cells, restored = PoseCells(automatic()), PoseCells(automatic())
     drive(pose_cells, 0, views)
@@ -179,18 +179,6 @@ def test_weighed_links_have_the_view_spacing(weighs: bool) -> None:
     assert actions[-1].view_spacing_m == (pose_cells.lengths.spacing_m if weighs else 0.0)
     recognised = {a.action for a in actions if a.recognised_id != NO_EXPERIENCE}
     assert recognised == ({'create'} if weighs else set())
-
-
-@pytest.mark.parametrize('scale', [0.03, 40.0])
-def test_scaled_world_gives_same_recognitions(scale: float) -> None:
-    recognitions = [
-        [
-            (a.action, a.recognised_id, a.agreement)
-            for a in drive(PoseCells(automatic(exp_view_links=True)), 0, 3 * PER_LAP, view_m)
-        ]
-        for view_m in (1.0, scale)
-    ]
-    assert recognitions[0] == recognitions[1]
 
 
 def test_explicit_lengths_scale_the_weights_by_the_threshold() -> None:

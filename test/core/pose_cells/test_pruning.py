@@ -42,7 +42,7 @@ from ratslam_ros.messages.mapping import ActionPayload, encode_map
 # Selection
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10**6), st.integers(RECENT_VISITS_COUNT + 2, 90), st.floats(0.0, 1.0))
 def test_prune_candidate_is_least_visited_then_oldest(
     seed: int, count: int, revisits: float
@@ -75,7 +75,7 @@ def test_prune_candidate_is_least_visited_then_oldest(
     assert candidates[0] == candidates[1]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10**6), st.integers(3, 40))
 def test_gaps_equal_distances_of_reconnected_neighbours(seed: int, count: int) -> None:
     rng = random.Random(seed)
@@ -129,7 +129,7 @@ def test_experience_leaving_long_gap_is_pruned_last() -> None:
     assert visits.prune_candidate(visits.may_go(distances)) == 2
 
 
-@pytest.mark.parametrize('spacing_m', [0.4, 0.7, 0.8, 1.4])
+@pytest.mark.parametrize('spacing_m', [0.4, 1.4])
 def test_dead_end_driven_both_ways_is_not_shortened(spacing_m: float) -> None:
     visits, distances = VisitHistory(), DistanceGraph()
     route = [*range(30), *range(28, 19, -1), *range(30, 70)]  # into a room, out, and on
@@ -180,9 +180,6 @@ LIMIT = 30
 Done = tuple[Motion, MapAction]
 
 
-POLICIES = 'visits', 'visited_once', 'freshness'
-
-
 def limited(policy: str = 'visits') -> PoseCells:
     return PoseCells(
         extended(
@@ -215,12 +212,12 @@ def new_map(**changes: Any) -> ExperienceMap:
     return ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0, **changes))
 
 
-@pytest.mark.parametrize('policy', POLICIES)
+@pytest.mark.parametrize('policy', ['visits', 'freshness'])
 def test_long_drive_never_exceeds_limit(policy: str) -> None:
     rng = random.Random(1)
     pose_cells, graph = limited(policy), new_map()
     replaced = 0
-    for motion, action in wander(pose_cells, rng, 600):
+    for motion, action in wander(pose_cells, rng, 300):
         known, before = len(graph), graph.labels[:]
         graph.integrate(motion)
         graph.apply(action)
@@ -237,7 +234,7 @@ def test_long_drive_never_exceeds_limit(policy: str) -> None:
                 action.place,
             )
         assert graph.labels[action.target_id][1] == action.place
-    assert replaced > 150
+    assert replaced > 60
     assert len(graph) == len(pose_cells) == LIMIT
     assert connected(graph)
     # A pruned experience is removed from every index.
@@ -249,29 +246,9 @@ def test_long_drive_never_exceeds_limit(policy: str) -> None:
     assert all(of_template.values())
 
 
-def test_repeatedly_visited_experiences_are_kept() -> None:
-    """Drive laps of known places with one new view per lap: the lap is never pruned."""
-    pose_cells = PoseCells(extended('pose_cells', exp_max=30, pc_vt_agree_views=0.0))
-    new = 100
-    for lap in range(40):
-        for place in range(12):
-            pose_cells.integrate(ahead(2.5))
-            pose_cells.integrate(turning(2 * math.pi / 12))
-            pose_cells.view(seen(place))
-            if place == 5:
-                pose_cells.integrate(ahead(0.1 + 0.1 * (lap % 2)))
-                action = pose_cells.view(seen(new))
-                new += 1
-                assert action.action == 'create' or lap == 0
-    assert len(pose_cells) == 30
-    templates = {template for template, *_ in pose_cells.state()['experiences']}
-    assert set(range(12)) <= templates
-    assert new - 1 in templates
-
-
-@pytest.mark.parametrize(('limit', 'longest_m'), [(150, MAX_GAP_M), (75, 2.4)])
-def test_route_driven_once_is_pruned_evenly(limit: int, longest_m: float) -> None:
+def test_route_driven_once_is_pruned_evenly() -> None:
     """Drive a spiral of new views, 132 m long; no part of it may be removed completely."""
+    limit, longest_m = 75, 2.4
     pose_cells, graph = PoseCells(extended('pose_cells', exp_max=limit)), new_map(exp_loops=0)
     for view in range(330):
         for one in (pose_cells, graph):
@@ -303,7 +280,7 @@ def test_memory_saved_without_limit_is_pruned_evenly(tmp_path: Path) -> None:
     assert max(link.distance_m for link in graph.links()) <= MAX_GAP_M + 0.1
 
 
-@pytest.mark.parametrize('policy', POLICIES)
+@pytest.mark.parametrize('policy', ['visits', 'freshness'])
 def test_restored_pose_cells_prune_identically(policy: str, tmp_path: Path) -> None:
     rng = random.Random(3)
     pose_cells = limited(policy)
@@ -383,10 +360,9 @@ def prune_and_create(graph: ExperienceMap, pruned: int, serial: int) -> None:
     graph.apply(MapAction('create', graph.current_id, pruned, serial, 0.0, place))
 
 
-@pytest.mark.parametrize('seed', range(3))
-def test_map_stays_connected_and_goals_stay_while_pruning(seed: int) -> None:
+def test_map_stays_connected_and_goals_stay_while_pruning() -> None:
     """Without relaxation, a goal keeps its position up to rounding errors."""
-    rng = random.Random(seed)
+    rng = random.Random(0)
     graph = new_map(exp_loops=0)
     goals: dict[str, tuple[int, Pose]] = {}
 
@@ -399,7 +375,7 @@ def test_map_stays_connected_and_goals_stay_while_pruning(seed: int) -> None:
     graph.on_pruned.append(on_forgotten)
     count = 60
     expected_poses: dict[str, Pose] = {}
-    for serial in range(1200):
+    for serial in range(800):
         graph.integrate(Motion(0.5, rng.uniform(0.3, 1.0), rng.uniform(-0.8, 0.8)))
         current_id = graph.current_id
         if len(graph) < count:
@@ -466,10 +442,9 @@ def _inverse(pose: Pose) -> tuple[float, float, float]:
     return -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad
 
 
-@pytest.mark.parametrize('relaxation', ['solve', 'sweep'])
-def test_composed_links_agree_with_true_poses(relaxation: str) -> None:
+def test_composed_links_agree_with_true_poses() -> None:
     """With exact odometry every link agrees with the true poses, even if composed repeatedly."""
-    graph, true = driven(500, 40, random.Random(4), exp_relaxation=relaxation)
+    graph, true = driven(500, 40, random.Random(4))
     assert graph.link_count > 40
     for link in graph.links():
         end = composed(true[link.source_id], link.relative_pose)
@@ -480,27 +455,6 @@ def test_composed_links_agree_with_true_poses(relaxation: str) -> None:
         assert link.count >= 1
     places = np.array(true)
     assert np.abs(graph.poses[:, :2] - places[:, :2]).max() < 1e-6
-
-
-def test_pruning_connects_two_neighbours_in_both_directions() -> None:
-    graph = new_map()
-    for n, target in enumerate((0, 1, 2, 1, 0)):
-        graph.integrate(ahead(2.0 if n < 3 else -2.0, 1.0))
-        label = Place(float(target), 0.0, 0.0)
-        kind = 'create' if target == len(graph) else 'link'
-        graph.apply(MapAction(kind, graph.current_id, target, target, 0.0, label), 'wall')  # type: ignore[arg-type]
-    graph.integrate(turning(1.0, 1.0))
-    graph.integrate(ahead(3.0, 1.0))
-    prune_and_create(graph, 1, 9)
-    links = {(k.source_id, k.target_id): k for k in graph.links()}
-    assert set(links) == {(0, 2), (2, 0), (0, 1)}
-    for pair, way in (((0, 2), 4.0), ((2, 0), -4.0)):
-        assert links[pair].relative_pose.x_m == pytest.approx(way)
-        assert links[pair].duration_s == pytest.approx(2.0)
-        assert (links[pair].behaviour, links[pair].count) == ('wall', 1)
-    assert graph.experiences()[1].template_id == 9
-    assert graph.pose_of(1).x_m == pytest.approx(2.0 + 3.0 * math.cos(1.0))
-    assert RoutePlanner(GoalRecallParameters(), graph).route_to(2).experience_ids == (1, 0, 2)
 
 
 def test_pruning_connects_neighbours_through_nearest_and_keeps_links() -> None:
@@ -550,9 +504,8 @@ def test_pruning_current_experience_continues_from_neighbour() -> None:
     assert (alone.link_count, alone.pose_of(0).x_m) == (0, 1.0)
 
 
-@pytest.mark.parametrize('seed', range(2))
-def test_routes_and_memories_follow_pruning(seed: int, tmp_path: Path) -> None:
-    rng = random.Random(seed)
+def test_routes_and_memories_follow_pruning(tmp_path: Path) -> None:
+    rng = random.Random(0)
     pose_cells, graph = limited(), new_map()
     planner = RoutePlanner(GoalRecallParameters(), graph)
     apply(graph, wander(pose_cells, rng, 60))
@@ -609,10 +562,9 @@ def test_map_built_from_messages_is_identical() -> None:
     assert (joining.missed, joining.restarts) == (0, 0)
 
 
-@pytest.mark.parametrize('seed', range(3))
-def test_lost_messages_never_mix_two_places_under_one_id(seed: int) -> None:
+def test_lost_messages_never_mix_two_places_under_one_id() -> None:
     """The map detects an unnoticed replacement by template and place of the action."""
-    rng = random.Random(seed)
+    rng = random.Random(0)
     done = wander(limited(), rng, 300)
     lost = frozenset(n for n in range(300) if rng.random() < 0.2)
     graph = new_map()

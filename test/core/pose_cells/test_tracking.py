@@ -62,15 +62,14 @@ def straight_error(net: Network, heading: float, speed: float, cells: float = 10
     return float(np.hypot(*(displacement - expected)[1:]) / np.hypot(*expected[1:]))
 
 
-@pytest.mark.parametrize('speed', [0.1, 0.3, 0.7, 1.0, 1.7, 2.3, 3.0, -0.2, -1.3])
-def test_peak_follows_translation_at_24_headings(net: Network, speed: float) -> None:
-    assert max(straight_error(net, heading, speed) for heading in HEADINGS) <= 0.02
+@pytest.mark.parametrize('speed', [0.1, 1.0, 2.3, -1.3])
+def test_peak_follows_translation_at_12_headings(net: Network, speed: float) -> None:
+    assert max(straight_error(net, heading, speed) for heading in HEADINGS[::2]) <= 0.02
 
 
 @pytest.mark.parametrize(
     ('speed', 'headings'),
-    [(0.001, HEADINGS[1::12]), (0.003, HEADINGS[2::8]), (0.01, HEADINGS[3::3]),
-     (-0.01, HEADINGS[::6]), (0.03, HEADINGS[::2])],
+    [(0.001, HEADINGS[1:2]), (0.01, HEADINGS[3::8]), (-0.01, HEADINGS[::12])],
 )
 def test_peak_follows_slow_translation(
     net: Network, speed: float, headings: list[float]
@@ -78,19 +77,19 @@ def test_peak_follows_slow_translation(
     assert max(straight_error(net, heading, speed) for heading in headings) <= 0.02
 
 
-@pytest.mark.parametrize('speed', [0.02, 0.1, 0.5, 1.0, 2.2, -0.7])
+@pytest.mark.parametrize('speed', [0.1, 1.0, -0.7])
 def test_translation_does_not_change_heading(net: Network, speed: float) -> None:
     """In OpenRatSLAM translation changes a heading between two planes."""
     worst = 0.0
-    for heading in HEADINGS if abs(speed) > 0.4 else HEADINGS[::6]:
+    for heading in HEADINGS[::6]:
         count = math.ceil(40.0 / abs(speed))
         displacement, _ = travelled(net, settled(net, heading), [(speed, 0.0)] * count)
         worst = max(worst, abs(displacement[0]))
     assert worst <= 0.1
 
 
-@pytest.mark.parametrize('rate', [0.005, 0.05, 0.3, 1.0, 2.7, -0.02, -0.6])
-@pytest.mark.parametrize('heading', HEADINGS[::8])
+@pytest.mark.parametrize('rate', [0.005, 0.3, 2.7, -0.6])
+@pytest.mark.parametrize('heading', HEADINGS[::12])
 def test_peak_follows_rotation(net: Network, rate: float, heading: float) -> None:
     count = math.ceil(10.0 / abs(rate))
     displacement, _ = travelled(net, settled(net, heading), [(0.0, rate)] * count)
@@ -111,16 +110,12 @@ def test_peak_follows_arc(net: Network, speed: float, rate: float) -> None:
     assert displacement[0] == pytest.approx(count * rate, rel=0.02)
 
 
-@pytest.mark.parametrize('heading', [7.37, 20.9])
-def test_stationary_peak_between_cells_does_not_drift(
-    net: Network, heading: float
-) -> None:
-    displacement, _ = travelled(net, settled(net, heading), [(0.0, 0.0)] * 10_000)
+def test_stationary_peak_between_cells_does_not_drift(net: Network) -> None:
+    displacement, _ = travelled(net, settled(net, 7.37), [(0.0, 0.0)] * 5_000)
     assert np.abs(displacement).max() < 0.01
 
 
-@pytest.mark.parametrize('speed', [0.05, 0.2, 1.0])
-@pytest.mark.parametrize('turn_planes', [9.4, 18.0, -6.3])
+@pytest.mark.parametrize(('speed', 'turn_planes'), [(0.1, 9.4), (1.0, -6.3)])
 def test_second_packet_follows_its_own_heading(speed: float, turn_planes: float) -> None:
     """A weaker packet at another heading is tracked as well as with bilinear shifts."""
     p = extended('pose_cells', pc_dim_th=36, pc_dim_x=60, pc_dim_y=60)
@@ -156,7 +151,7 @@ def test_second_packet_follows_its_own_heading(speed: float, turn_planes: float)
     assert ours <= 0.1 * count * speed
 
 
-@pytest.mark.parametrize(('planes', 'deviation'), [(12, 1.0), (20, 1.0), (20, 2.0), (36, 2.0)])
+@pytest.mark.parametrize(('planes', 'deviation'), [(12, 1.0), (36, 2.0)])
 def test_packet_over_many_headings_moves_at_robot_speed(
     planes: int, deviation: float
 ) -> None:
@@ -174,7 +169,7 @@ def test_packet_over_many_headings_moves_at_robot_speed(
     assert displacement == pytest.approx(12.0, rel=0.02)
 
 
-@pytest.mark.parametrize(('speed', 'rate'), [(0.5, 0.0), (0.0, 0.5), (0.3, 0.3), (1.5, 0.0)])
+@pytest.mark.parametrize(('speed', 'rate'), [(0.0, 0.5), (1.5, 0.0)])
 def test_moving_packet_has_width_of_bilinear_shifts(speed: float, rate: float) -> None:
     """The winner must not depend on the motion of the lattice: a wider packet is a weaker one."""
     p = extended('pose_cells', pc_dim_th=36, pc_dim_y=21, pc_dim_x=24)
@@ -199,7 +194,7 @@ def test_moving_packet_has_width_of_bilinear_shifts(speed: float, rate: float) -
 # The same with PoseCells: metres, radians and arcs
 
 
-@pytest.mark.parametrize('cell_m', [0.015, 0.25, 2.0])
+@pytest.mark.parametrize('cell_m', [0.015, 2.0])
 def test_pose_cells_convert_metres_by_cell_size(cell_m: float) -> None:
     cells = PoseCells(extended('pose_cells', pc_dim_x=30, pc_dim_y=20, pc_cell_x_size=cell_m))
     start = cells.peak

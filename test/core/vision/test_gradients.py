@@ -178,19 +178,6 @@ def test_small_images_have_smaller_cells_down_to_2_px() -> None:
 # Saved memories
 
 
-def test_restored_memory_continues_as_uninterrupted_run() -> None:
-    images = [lit(scene(seed % 15), 'gain', seed) for seed in range(40)]
-    whole = LocalView(parameters(vt_match_threshold=0.05))
-    expected = [whole.match(image) for image in images]
-    first = LocalView(parameters(vt_match_threshold=0.05))
-    for image in images[:20]:
-        first.match(image)
-    second = LocalView(parameters(vt_match_threshold=0.05))
-    second.restore(first.state())
-    assert [second.match(image) for image in images[20:]] == expected[20:]
-    assert {match.is_new for match in expected} == {True, False}
-
-
 def test_templates_of_another_descriptor_are_refused() -> None:
     gradients = LocalView(parameters(template_x_size=10, template_y_size=5))
     gradients.match(scene(1))

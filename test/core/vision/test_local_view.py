@@ -41,11 +41,6 @@ def assert_same_view(image: Image, p: LocalViewParameters) -> None:
 # From image to view
 
 
-def test_block_is_pixel_mean_rounded_to_nearest() -> None:
-    image = np.array([[10, 11, 0, 255], [10, 11, 0, 255], [7, 7, 7, 8], [7, 7, 7, 8]], np.uint8)
-    assert make_view(image, parameters(2, 2, 0)).tolist() == [[11, 128], [7, 8]]
-
-
 def test_crop_excludes_pixels_outside() -> None:
     image = np.full((20, 30), 200, np.uint8)
     image[5:13, 6:22] = 40
@@ -80,30 +75,6 @@ def test_view_equals_reference_for_any_image(
         vt_patch_normalise=patch, vt_normalisation=mean, vt_min_patch_normalisation_std=least_std,
         vt_normalise_range=by_range,
     ))
-
-
-def test_normalisation_sets_mean_and_saturates_at_white() -> None:
-    image = np.full((4, 8), 50, np.uint8)
-    assert (make_view(image, parameters(vt_normalisation=0.4)) == 102).all()
-    image[0, 0] = 255
-    view = make_view(image, parameters(vt_normalisation=0.6))
-    assert view[0, 0] == 255
-    assert view[1, 1] == math.floor(50 * 0.6 / (image.mean() / 255.0) + 0.5)
-
-
-@pytest.mark.parametrize(('mean', 'expected'), [
-    (0.0, [0, 51, 102, 255]),  # (v - 10) / 100
-    (0.6, [51, 102, 153, 255]),  # 0.6 + (v - 50) / 100, at most 1
-    (0.2, [0, 0, 51, 204]),  # at least 0
-])
-def test_range_normalisation_removes_offset_and_contrast(
-    mean: float, expected: list[int]
-) -> None:
-    values = np.array([[10, 30, 50, 110]], np.uint8)  # mean 50, range 100
-    p = parameters(4, 1, 0, vt_normalise_range=True, vt_normalisation=mean)
-    for image in (values, values + 40, 2 * values):
-        assert make_view(image, p).tolist() == [expected]
-    assert (make_view(np.full((1, 4), 77, np.uint8), p) == math.floor(255 * mean + 0.5)).all()
 
 
 @pytest.mark.parametrize('patch', [1, 2, 3])
@@ -148,7 +119,7 @@ def worlds(draw: st.DrawFn) -> tuple[LocalViewParameters, list[Image], list[Imag
     return p, templates, views
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(worlds())
 def test_match_equals_reference_including_ties(
     world: tuple[LocalViewParameters, list[Image], list[Image]],
@@ -159,7 +130,7 @@ def test_match_equals_reference_including_ties(
         assert local_view.best_match(view) == plain_match(templates, view, p)
 
 
-@pytest.mark.parametrize('turned', range(-9, 10))
+@pytest.mark.parametrize('turned', [-9, -1, 0, 4, 9])
 def test_panoramic_view_gives_relative_heading(turned: int) -> None:
     """Columns run clockwise: a turn to the left moves the content to the right."""
     p = parameters(20, 4, 0, vt_panoramic=True)
@@ -219,7 +190,7 @@ def test_first_view_is_learned_and_later_recognised() -> None:
     assert other.error > 0.03
 
 
-@pytest.mark.parametrize('threshold', [0.0, 0.02, 0.03, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize('threshold', [0.0, 0.03, 1.0])
 @pytest.mark.parametrize('panoramic', [False, True])
 def test_error_up_to_threshold_is_recognised(
     threshold: float, panoramic: bool
