@@ -75,7 +75,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Record]]
         return path, written(path, random_records(1, 3000))
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.integers(0, 80 * NS_PER_S), max_size=8))
 def test_advancing_in_any_steps_equals_seeking(
     drive: tuple[Path, list[Record]], offsets: list[int]
@@ -259,7 +259,7 @@ from records_for_tests import random_records
 from ratslam_ros.history.file import HistoryMeta
 from ratslam_ros.history.writer import HistoryWriter
 writer = HistoryWriter(Path(sys.argv[1]), HistoryMeta('killed'))
-for record in random_records(4, 2000):
+for record in random_records(4, 500):
     writer.add(record)
 writer.flush()
 for record in random_records(5, 10):
@@ -286,7 +286,7 @@ def test_killed_writer_leaves_readable_history(tmp_path: Path) -> None:
     assert 'interrupted' in run.notices[0]
     expected = RunState()
     writer = HistoryWriter(tmp_path / 'same.sqlite', META)
-    for record in random_records(4, 2000):
+    for record in random_records(4, 500):
         if writer.add(record):
             expected.apply(record)
     writer.discard()
