@@ -29,6 +29,7 @@ from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 
+USES_PARAMETER_SERVICES = True
 ENERGY = 'pc_vt_inject_energy'
 COUNT, HALF, LAP = 60, 25, 20
 
