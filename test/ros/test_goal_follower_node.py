@@ -116,6 +116,7 @@ def test_without_task_no_velocities_are_published(world: MakeWorld) -> None:
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
     robot.route()
+    robot.world.until(lambda: robot.is_stopped)
     robot.clear()
     robot.scan()
     robot.settle()
