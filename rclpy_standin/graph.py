@@ -9,6 +9,7 @@ import threading
 from collections import defaultdict
 from collections.abc import Iterable
 from enum import IntEnum
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -156,6 +157,9 @@ class Graph:
 
     def endpoints(self, topic: str, kind: str) -> list[TopicEndpointInfo]:
         """Return the endpoints on a DDS topic; ``kind`` is writer or reader."""
+        all_found = [one for one in self._participant.endpoints(kind) if one.topic == topic]
+        if not all_found:
+            return []
         owners = {
             bytes(gid.data): (node.node_name, node.node_namespace)
             for announcement in self._announcements()
@@ -175,8 +179,7 @@ class Graph:
                 list(found.gid),
                 from_dds(found.qos),
             )
-            for found in self._participant.endpoints(kind)
-            if found.topic == topic
+            for found in all_found
         ]
 
     def _announcements(self) -> list[Any]:
@@ -200,7 +203,9 @@ def _type_of(found: DiscoveredEndpoint) -> str:
     return names.type_from_dds(found.type)
 
 
+@lru_cache(4096)
 def _gid(gid: bytes) -> Any:
+    """Return the message of a GID, which is only encoded and never changed."""
     return message_class('rmw_dds_common/msg/Gid')(data=np.frombuffer(gid, np.uint8))
 
 

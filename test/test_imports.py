@@ -97,10 +97,15 @@ PURE = [*files('core'), *files('pipeline')]
 
 
 @cache
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    return (*ast.walk(ast.parse(path.read_text(encoding='utf-8'))),)
+
+
+@cache
 def imports(path: Path) -> tuple[str, ...]:
     """Return the full names of all that a file imports, in functions too."""
     found: list[str] = []
-    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -177,7 +182,7 @@ def test_core_uses_no_ros_files_clock_or_randomness() -> None:
 def test_core_calls_no_file_or_random_function_and_has_strict_arithmetic() -> None:
     """No fastmath and no parallel loops, so that results are the same on every run."""
     for path in PURE:
-        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        for node in nodes_of(path):
             if isinstance(node, ast.Name):
                 forbidden = 'open', 'print', 'input', 'exec', 'eval', '__import__'
                 assert node.id not in forbidden, path
@@ -197,6 +202,13 @@ def test_only_nodes_and_live_commands_import_ros() -> None:
             name.split('.')[0] not in ('ros', 'live', 'rclpy_standin')
         ):
             assert not {one.split('.')[0] for one in imports(path)} & ros, name
+
+
+def test_drawing_does_not_import_pyplot() -> None:
+    """pyplot needs a display on some machines."""
+    found = {one for path in modules().values() for one in imports(path)}
+    assert any(one.startswith('matplotlib') for one in found)
+    assert not [one for one in found if 'pyplot' in one or one == 'matplotlib.pylab']
 
 
 def test_core_imports_without_optional_dependencies() -> None:

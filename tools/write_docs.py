@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 from payload_docs import with_payloads
@@ -97,6 +98,7 @@ def documented_yaml() -> str:
     return ''.join(parts)
 
 
+@cache
 def documents() -> dict[Path, str]:
     """Return the generated files, relative to the root of the repository, and their contents."""
     return {

@@ -111,7 +111,7 @@ def test_log_repeats_all_states() -> None:
     assert first.pipeline.order.counts.refused > 0
 
 
-@pytest.mark.parametrize('at', range(3, 180, 9))
+@pytest.mark.parametrize('at', range(3, 180, 29))
 def test_state_at_any_entry_and_rest_of_log_give_same_states(at: int) -> None:
     first, process = logged(at)
     assert process.states, f'only {len(process.entries)} entries'
@@ -217,7 +217,7 @@ def test_follower_has_the_states_of_one_process() -> None:
     assert process.reports == []
 
 
-@pytest.mark.parametrize('at', range(5, 60, 11))
+@pytest.mark.parametrize('at', range(5, 60, 18))
 def test_follower_goes_on_from_its_state_and_log(at: int) -> None:
     _, items = passed()
     whole = follower(Process())

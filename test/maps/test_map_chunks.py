@@ -57,7 +57,7 @@ def restored(state: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(STATES)
 @example({'a': {'b/c': np.zeros(3)}, 'a/b': {'c': np.ones(3)}})
 @example({'a': [0.0, float('nan'), -0.0] * LONG_LIST, 'b': [2**70] * LONG_LIST})

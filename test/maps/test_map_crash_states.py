@@ -25,9 +25,9 @@ def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_every_crash_leaves_the_state_before_or_after(scratch: Path) -> None:
-    operations, states, problems = check_crashes(40, 2, limit=150, seed=1, scratch=scratch)
+    operations, states, problems = check_crashes(40, 2, limit=80, seed=1, scratch=scratch)
     assert problems == []
-    assert states >= 150
+    assert states >= 80
     assert operations > 300
 
 

@@ -14,7 +14,7 @@ from map_states import META, growing_state, kill, opened, write
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map, save_map
 from ratslam_ros.maps.file_writer import FileWriter
-from ratslam_ros.maps.sessions import KEPT_CUTS, MAX_SESSIONS
+from ratslam_ros.maps.sessions import KEPT_CUTS
 
 VIEWS, CELLS, GRAPH = 'local_view', 'pose_cells', 'experience_map'
 
@@ -215,14 +215,15 @@ def test_part_that_lags_far_behind_keeps_its_common_cut(tmp_path: Path) -> None:
     cells.close()
 
 
-def test_number_of_sessions_is_bounded(tmp_path: Path) -> None:
+def test_number_of_sessions_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('ratslam_ros.maps.sessions.MAX_SESSIONS', 8)
     path = tmp_path / 'a.map'
     save_map(path, {VIEWS: {'n': 7}}, META)
-    for _ in range(MAX_SESSIONS + 3):
+    for _ in range(8 + 3):
         FileWriter(path, (CELLS,), MapMeta('again')).close(complete=True)
     saved = read_map(path)
-    assert len(saved.sessions) == MAX_SESSIONS
-    assert saved.sessions[-1].number == MAX_SESSIONS + 4
+    assert len(saved.sessions) == 8
+    assert saved.sessions[-1].number == 8 + 4
     assert saved.states == {VIEWS: {'n': 7}}
 
 

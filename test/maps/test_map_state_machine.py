@@ -188,6 +188,6 @@ def merged(sessions: list[Session]) -> dict[str, bytes]:
 
 TestMapMachine = MapMachine.TestCase
 TestMapMachine.settings = settings(
-    max_examples=12, stateful_step_count=15, deadline=None, derandomize=True,
+    max_examples=8, stateful_step_count=15, deadline=None, derandomize=True,
     suppress_health_check=list(HealthCheck),
 )

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from helpers import START_NS, ahead, template_text, turning
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ratslam_ros.core.common.turn_correction import TurnCorrection
@@ -76,22 +76,13 @@ def test_automatic_template_payload_has_threshold_and_related() -> None:
 
 
 @pytest.mark.parametrize(('key', 'value'), [
-    ('id', True), ('id', 1.0), ('id', '1'), ('id', None), ('id', -2), ('id', [1]),
-    ('is_new', 1), ('is_new', 0), ('is_new', 'true'), ('is_new', None),
-    ('error', True), ('error', '0.1'), ('error', None), ('error', {}), ('error', 10**400),
-    ('relative_rad', False), ('relative_rad', 'pi'), ('relative_rad', []),
-    ('relative_rad', 1e300), ('relative_rad', -10**400), ('relative_rad', 7.0),
-    ('memory', True), ('memory', 1.5), ('memory', '1'), ('memory', None),
-    ('schema_version', 0), ('schema_version', 2), ('schema_version', '1'),
-    ('schema_version', None), ('schema_version', True), ('schema_version', 1.0),
-    ('stamp', None), ('stamp', 5), ('stamp', [1, 2]), ('stamp', {}), ('stamp', {'sec': 1}),
-    ('stamp', {'nanosec': 1}), ('stamp', {'sec': True, 'nanosec': 0}),
-    ('stamp', {'sec': 1, 'nanosec': False}), ('stamp', {'sec': 1.0, 'nanosec': 0}),
-    ('stamp', {'sec': 1, 'nanosec': 10**9}), ('stamp', {'sec': 1, 'nanosec': -1}),
-    ('stamp', {'sec': '1', 'nanosec': 0}), ('stamp', {'sec': 10**30, 'nanosec': 0}),
-    ('stamp', {'sec': -1, 'nanosec': 0}), ('stamp', {'sec': 2**31, 'nanosec': 0}),
-    ('memory', 2**63), ('memory', -1), ('removed', 3), ('removed', None), ('removed', [-1]),
-    ('removed', [1.5]), ('removed', [True]), ('removed', [2**31]), ('removed', {'1': 2}),
+    ('id', 1.0), ('id', -2), ('is_new', 1), ('error', '0.1'), ('error', 10**400),
+    ('relative_rad', 7.0), ('memory', 2**63), ('memory', -1),
+    ('schema_version', 0), ('schema_version', 2), ('schema_version', True),
+    ('stamp', None), ('stamp', {'sec': 1}), ('stamp', {'sec': 1, 'nanosec': 10**9}),
+    ('stamp', {'sec': 1, 'nanosec': -1}), ('stamp', {'sec': -1, 'nanosec': 0}),
+    ('stamp', {'sec': 2**31, 'nanosec': 0}),
+    ('removed', None), ('removed', [-1]), ('removed', [2**31]),
 ], ids=lambda value: str(value)[:30])
 def test_template_with_invalid_value_is_refused(key: str, value: Any) -> None:
     assert key.split('_')[0] in refused(template_text(5, 3, **{key: value}))
@@ -109,15 +100,6 @@ def test_integer_is_accepted_and_converted_for_float() -> None:
     match = decode(TemplatePayload, template_text(5, 3, error=0, relative_rad=1)).match
     assert (match.error, match.relative_rad) == (0.0, 1.0)
     assert type(match.error) is type(match.relative_rad) is float
-
-
-@settings(max_examples=50)
-@given(st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
-    lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(KEYS) | st.text(), inner),
-))
-def test_arbitrary_json_is_refused_without_crash(value: Any) -> None:
-    refused(json.dumps(value))
 
 
 @given(st.sampled_from(KEYS), st.none() | st.integers() | st.floats() | st.text() | st.booleans())
@@ -249,12 +231,10 @@ def test_invalid_correction_is_refused(correction: Any) -> None:
 
 
 @pytest.mark.parametrize(('key', 'value'), [
-    ('action', 'jump'), ('action', None), ('target_id', -1), ('template_id', -1),
-    ('source_id', -2), ('target_id', 2**31), ('sequence', -1), ('memory', -1),
-    ('sequence', 10**4000), ('memory', 2**63), ('stamp', {'sec': 2**31, 'nanosec': 0}),
-    ('pc_x', -0.1),
-    ('pc_theta', 1e9), ('relative_rad', 4.0), ('source_id', 1.5), ('sequence', True),
-    ('pc_y', None), ('stamp', {'sec': 1}), ('schema_version', 2),
+    ('action', 'jump'), ('target_id', -1), ('template_id', -1), ('source_id', -2),
+    ('target_id', 2**31), ('sequence', -1), ('memory', 2**63),
+    ('stamp', {'sec': 2**31, 'nanosec': 0}), ('pc_x', -0.1), ('pc_theta', 1e9),
+    ('relative_rad', 4.0), ('source_id', 1.5), ('schema_version', 2),
 ])
 def test_action_with_invalid_value_is_refused(key: str, value: Any) -> None:
     with pytest.raises(MalformedMessage, match=key.split('_')[0]):

@@ -38,14 +38,13 @@ def result(bag: Path) -> MapResult:
     return map_recording(bag, settings=SETTINGS, quiet=True)
 
 
-@pytest.mark.parametrize('start_s', [0.0, 1.0])
 def test_map_recording_writes_the_files_of_replay(
-    bag: Path, tmp_path: Path, start_s: float, capfd: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     words = [word for item in SETTINGS.items() for word in ('--set', '{}={}'.format(*item))]
-    assert main(['replay', str(bag), *words, f'--start={start_s}', f'--out={tmp_path}']) == 0
+    assert main(['replay', str(bag), *words, '--start=1', f'--out={tmp_path}']) == 0
     printed = capfd.readouterr()
-    result = map_recording(bag, settings=SETTINGS, start_s=start_s)
+    result = map_recording(bag, settings=SETTINGS, start_s=1.0)
     for name in SAME:
         assert (result.folder / name).read_bytes() == (tmp_path / name).read_bytes()
     assert capfd.readouterr().err == printed.err

@@ -133,10 +133,8 @@ def test_map_file_does_not_change_the_map(bag: Path, undisturbed: Path, tmp_path
 
 
 @pytest.mark.usefixtures('frequent_cuts')
-@pytest.mark.parametrize('stops', [(1,), (40, 41), (7, 77, 150)])
-def test_stopped_replay_continues_exactly(
-    stops: tuple[int, ...], bag: Path, undisturbed: Path, tmp_path: Path
-) -> None:
+def test_stopped_replay_continues_exactly(bag: Path, undisturbed: Path, tmp_path: Path) -> None:
+    stops = 1, 40, 41, 120
     for stop in stops:
         with pytest.raises(StoppedError):
             run(bag, tmp_path, stop_after=stop)
@@ -146,8 +144,7 @@ def test_stopped_replay_continues_exactly(
     assert max(stops) - 16 <= map_file.skipped <= max(stops)
     assert result_of(tmp_path) == result_of(undisturbed)
     assert outcome.summary['map']['messages_before'] == map_file.skipped
-    if map_file.skipped:
-        assert any(f'after {map_file.skipped} messages' in line for line in lines)
+    assert any(f'after {map_file.skipped} messages' in line for line in lines)
 
 
 def test_part_of_a_recording_is_continued_exactly(
@@ -377,11 +374,11 @@ def test_unsaved_map_is_reported_and_results_are_written(
 
 def test_killed_replays_end_with_identical_maps(bag: Path, tmp_path: Path) -> None:
     job = Job(bag, CONFIG, None, period_s=0.1)
-    tally = kill_replays(job, 4, seed=3, folder=tmp_path, per_map=3)
+    tally = kill_replays(job, 2, seed=3, folder=tmp_path, per_map=2)
     assert tally.failures == []
     assert tally.identical == tally.maps > 0
     assert tally.behind == 0
-    assert tally.kills.total() == 4
+    assert tally.kills.total() == 2
 
 
 def test_remaining_events_are_counted_by_stream(bag: Path, tmp_path: Path) -> None:
@@ -395,7 +392,6 @@ def test_remaining_events_are_counted_by_stream(bag: Path, tmp_path: Path) -> No
     assert map_file.skipped == 5
 
 
-@pytest.mark.parametrize('name', ['rc_car_eight', 'lab_car'])
-def test_map_saved_after_every_message_opens_as_it_was(name: str) -> None:
-    """5 s of each recording; tools/open_every_save.py checks whole ones."""
-    assert open_every_save(real_recording(name), load_config('auto')[0], 5.0) > 40
+def test_map_saved_after_every_message_opens_as_it_was() -> None:
+    """5 s of a recording; tools/open_every_save.py checks whole ones."""
+    assert open_every_save(real_recording('rc_car_eight'), load_config('auto')[0], 5.0) > 40

@@ -115,7 +115,7 @@ def test_random_damage_ends_in_events_or_unusable_input(tmp_path, write):
     path = write(tmp_path)
     whole = path.read_bytes()
     rng = random.Random(0)
-    for _ in range(12):
+    for _ in range(6):
         data = bytearray(whole)
         if rng.random() < 0.4:
             del data[rng.randrange(len(data)):]

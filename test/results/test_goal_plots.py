@@ -44,13 +44,11 @@ def route_pixels(path: Path) -> int:
     return int((np.abs(picture - VERMILLION_BGR).max(axis=2) < 30).sum())
 
 
-def test_draw_temporal_map_is_reproducible(tmp_path: Path) -> None:
+def test_route_is_drawn_on_the_temporal_map(tmp_path: Path) -> None:
     graph = square()
     times = RoutePlanner(GoalRecallParameters(), graph).temporal_map()
     route = graph.poses[[15, 14, 13, 12, 11], :2]
-    for name in ('a.png', 'b.png'):
-        draw_temporal_map(graph, times, tmp_path / name, route, [Goal(11, name='kitchen')])
-    assert (tmp_path / 'a.png').read_bytes() == (tmp_path / 'b.png').read_bytes()
+    draw_temporal_map(graph, times, tmp_path / 'a.png', route, [Goal(11, name='kitchen')])
     draw_temporal_map(graph, times, tmp_path / 'c.png')
     assert route_pixels(tmp_path / 'a.png') > 500 > route_pixels(tmp_path / 'c.png')
 

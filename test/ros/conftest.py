@@ -11,13 +11,12 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
-from browser import chromium, new_page, viser
-from contract import pytest_pycollect_makemodule
+from contract import IS_STAND_IN, pytest_pycollect_makemodule
 from helpers import live_environment
 
 from ratslam_ros.core.warm_up import warm_up
 
-__all__ = ['chromium', 'new_page', 'pytest_pycollect_makemodule', 'viser']
+__all__ = ['pytest_pycollect_makemodule']
 
 os.environ.update(live_environment())
 TIMEOUT_S = 20.0
@@ -33,7 +32,10 @@ class World:
         rclpy.init(args=['--ros-args', *arguments] if arguments else [])
         self.executor = SingleThreadedExecutor()
         self.nodes = [make() for make in makers]
-        self.tester = rclpy.create_node('tester', use_global_arguments=False)
+        self.tester = rclpy.create_node(
+            'tester', use_global_arguments=False, start_parameter_services=False,
+            enable_rosout=False,
+        )
         self.publishers: dict[str, Any] = {}
         for node in (*self.nodes, self.tester):
             self.executor.add_node(node)
@@ -116,8 +118,13 @@ class World:
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let nodes act more often, and wait less for others, which are in the same process here."""
+def quick(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    """Let nodes act more often, and wait less for others, which are in the same process here.
+
+    Their parameter services, half of their endpoints, are created only in files that use them.
+    """
+    if IS_STAND_IN and not getattr(request.module, 'USES_PARAMETER_SERVICES', False):
+        monkeypatch.setattr('rclpy_standin.node.create_parameter_services', lambda *_: None)
     monkeypatch.setattr('ratslam_ros.ros.node.FLUSH_CHECK_PERIOD_S', 0.02)
     monkeypatch.setattr('ratslam_ros.ros.plain_node.DIAGNOSTICS_PERIOD_S', 0.2)
     monkeypatch.setattr('ratslam_ros.ros.restart.recovery.LEAST_S', 0.3)

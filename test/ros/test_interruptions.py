@@ -107,7 +107,7 @@ def test_start_that_fails_after_a_crash_loses_nothing(world: MakeWorld, path: Pa
     assert (again.number, again.node._core.peak) == (15, peak)
 
 
-@pytest.mark.parametrize('call', ['save', 'load', 'pause', 'reset', 'set', 'close'])
+@pytest.mark.parametrize('call', ['load', 'pause', 'reset', 'set', 'close'])
 def test_request_during_the_restart_acts_after_what_was_received(
     world: MakeWorld, path: Path, call: str
 ) -> None:

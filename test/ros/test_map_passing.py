@@ -96,51 +96,28 @@ class Ways:
         return path
 
 
-def names(path: Path) -> set[str]:
-    goals = read_map(path).states['experience_map'].get('goals', {'named': []})
-    return {name for name, *_ in goals['named']}
-
-
-MADE = {
-    'replay': ('replay',), 'nodes': ('nodes',), 'replay after nodes': ('nodes', 'replay'),
-    'nodes after replay': ('replay', 'nodes'), 'merge': ('nodes', 'merge'),
-    'prune': ('nodes', 'prune'),
-}
-"""Ways to make a map."""
-
-
-@pytest.fixture(scope='module')
-def made() -> dict[str, bytes]:
-    """Return the maps that have been made, by the name of the way."""
-    return {}
-
-
-@pytest.mark.parametrize(('way', 'use'), [
-    *((way, 'nodes') for way in MADE),
-    *(('nodes after replay', use) for use in (
-        'replay', 'replay_localize', 'nodes_localize', 'merge', 'prune', 'export',
-    )),
-])
-def test_map_passes_from_any_program_to_any_other(
-    way: str, use: str, world: MakeWorld, bag: Path, made: dict[str, bytes], tmp_path: Path
-) -> None:
-    ways, path = Ways(world, bag), tmp_path / 'a.map'
-    if way not in made:
-        (tmp_path / 'made').mkdir()
-        new = tmp_path / 'made' / 'a.map'
-        for step in MADE[way]:
-            new = getattr(ways, step)(new)
-        made[way] = new.read_bytes()
-    path.write_bytes(made[way])
-    before = names(path)
-    assert bool(before) == ('nodes' in MADE[way])
-    path = getattr(ways, use)(path)
+def check(path: Path) -> None:
+    """Check that a map has no problem, the views and the places of the drive, and its name."""
     assert problems(path) == ([], [])
-    assert names(path) >= before
     saved = read_map(path)
+    goals = saved.states['experience_map'].get('goals', {'named': []})
+    assert len(goals['named']) >= 1
     session = SessionMap(Session('', config_of_map(saved)[0], saved.states))
     assert len(session.local_view) == IMAGES  # All views were recognised.
     assert len(session.map_ids) == len(session) >= 20  # The pose cells have all places.
+
+
+def test_map_passes_from_any_program_to_any_other(
+    world: MakeWorld, bag: Path, tmp_path: Path
+) -> None:
+    ways, path = Ways(world, bag), tmp_path / 'a.map'
+    ways.replay(path)
+    for step in (
+        'nodes', 'replay', 'replay_localize', 'nodes_localize', 'merge', 'nodes', 'export',
+        'prune', 'replay',
+    ):
+        path = getattr(ways, step)(path)
+        check(path)
 
 
 def test_prune_keeps_parts_that_it_does_not_use(

@@ -35,24 +35,6 @@ def learn(robot: Robot) -> None:
     robot.arrive(6)
 
 
-def return_to_place(robot: Robot, x_m: float) -> None:
-    """Drive away, and recognise the place when the robot is ``x_m`` ahead of it."""
-    robot.drive(1.0)
-    robot.arrive(5)
-    robot.drive(-1.0)
-    scan_received(robot, x_m)
-    robot.arrive(6)
-
-
-def test_recognised_place_keeps_the_offset_of_the_scans(world: MakeWorld) -> None:
-    robot = Robot(world, '-p', 'exp_align_scans:=true')
-    learn(robot)
-    return_to_place(robot, 0.2)
-    x_m, y_m, heading_rad = robot.node._core.offset
-    assert (x_m, y_m) == pytest.approx((0.2, 0.0), abs=0.03)
-    assert heading_rad == pytest.approx(0.0, abs=0.01)
-
-
 def test_scan_that_arrives_after_the_action_is_still_used(world: MakeWorld) -> None:
     """The action waits for the scans; ``flush_after_s`` is longer than the test."""
     robot = Robot(world, '-p', 'exp_align_scans:=true')

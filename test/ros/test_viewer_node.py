@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from helpers import PERIOD_NS, START_NS
-from pages import count_pixels, wait_for
 from ros_messages import MakeWorld, odometry, stamped_pose, string, template
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
@@ -41,6 +39,7 @@ from ratslam_ros.ros.viewing import viewer_node
 from ratslam_ros.ros.viewing.viewer_node import ViewerNode
 
 POSE = 'experience_map/pose_with_covariance'
+USES_PARAMETER_SERVICES = True
 
 
 class Page:
@@ -424,51 +423,3 @@ def test_diagnostics_of_the_nodes_are_shown(viewer: Any) -> None:
     level, message = controls.diagnostics['experience_map']
     assert level in ('OK', 'WARN')
     assert message
-
-
-@contextmanager
-def spinning(made: Any) -> Iterator[None]:
-    """Spin the nodes in a thread, so that a browser can be driven meanwhile."""
-    stop = threading.Event()
-
-    def spin() -> None:
-        while not stop.is_set():
-            made.executor.spin_once(timeout_sec=0.02)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
-
-
-def test_click_in_a_browser_sends_goal_and_route_is_drawn(
-    chromium: Any, new_page: Any, world: MakeWorld
-) -> None:
-    def make(*others: Any, arguments: tuple[str, ...] = ()) -> Any:
-        arguments = (*arguments, '-p', 'viewer:port:=0', '-p', 'viewer:open_browser:=false')
-        made = world(ViewerNode, *others, arguments=arguments)
-        made.viewer = made.nodes[0]
-        made.page = new_page(made.viewer._page.server.url)
-        made.until(lambda: made.viewer.topics is not None)
-        return made
-
-    made = with_map(make)
-    page = made.page
-    scene = made.viewer._page.scene
-    with spinning(made):
-        page.close_notices()
-        page.open_tab('Drive')
-        colour = next(colour for colour, text in scene.legend() if text == 'experience')
-        shown = page.wait_for_picture(lambda picture: count_pixels(picture, colour) > 20, 'map')
-        near = np.abs(shown.astype(int) - np.array(colour)).max(axis=2) <= 40
-        rows, columns = np.nonzero(near)
-        page.click_at(page.scene_span[0] + int(np.median(columns)), int(np.median(rows)))
-        page.wait_for_text(r'Selected x -?\d')
-        page.click('Go here')
-        wait_for(lambda: state_of(made).route is not None and len(state_of(made).route.points_m))
-        green = scene._canvas.theme.route
-        page.wait_for_picture(lambda picture: count_pixels(picture, green) > 20, 'the route')
-        page.wait_for_text('go to x')
