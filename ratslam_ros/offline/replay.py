@@ -358,7 +358,8 @@ class _Run:
             summary['visual_odometry'] = True
         calibration = self.slam.pose_cells.calibration
         if calibration is not None:
-            summary['odom_calibration'] = calibration.summary()
+            turns = self.slam.experience_map.optimiser.turns
+            summary['odom_calibration'] = calibration.summary(turns)
         if self._map is not None:
             summary['map'] = self._map.summary()
             results.last_view_ns = self._map.last_view_ns

@@ -361,6 +361,8 @@ class ExperienceMapNode(RatslamNode):
             'experience': self._core.current_id,
             'jumps_refused': self._core.gate.rejected_count,
             'carried': self._core.gate.relocation_count,
+            'rotation_gain': round(self._core.optimiser.turns.gain, 4),
+            'turn_per_m_rad': round(self._core.optimiser.turns.per_m_rad, 5),
             **({} if self._stage.relocator is None else {
                 f'relocations_{name}': count
                 for name, count in self._stage.relocator.counts.items()

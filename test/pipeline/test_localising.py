@@ -65,7 +65,7 @@ def test_localisation_by_scans_learns_nothing() -> None:
 def test_every_present_entry_exists() -> None:
     """A path that is misspelt, or was renamed, would excuse nothing, or too much."""
     found: set[str] = set()
-    driven = RatSLAM(SMALL.with_values(VARIANTS['automatic, scans']))
+    driven = RatSLAM(SMALL.with_values(VARIANTS['automatic, scans, forgetting']))
     feed(driven, circles(90))
     for slam in (
         driven, RatSLAM(SMALL, 'visual_odometry'),

@@ -19,10 +19,10 @@ class PoseCellsParameters(Section):
 
     odom_calibration: bool = parameter(
         True,
-        'Estimate systematic errors of the turns that odometry measures from closed loops, and '
+        'Estimate the unit of turns of a camera without field of view from closed loops, and '
         'correct the odometry that follows; starts at odom_rotation_gain and odom_turn_per_m.',
-        raise_if='wheels or the field of view of visual odometry are not calibrated',
-        lower_if='the odometry is precise, or results must be those of OpenRatSLAM',
+        raise_if='the field of view of visual odometry is unknown',
+        lower_if='it is known, or results must be those of OpenRatSLAM',
     )
     pc_dim_x: int = parameter(
         300, 'Extent along x; the cells wrap around. pc_dim_xy sets x and y.',

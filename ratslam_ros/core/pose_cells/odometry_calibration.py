@@ -25,7 +25,7 @@ from ratslam_ros.core.common.rotation_gain import (
 )
 from ratslam_ros.core.common.rows import KeyedRows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
-from ratslam_ros.core.common.turn_correction import TurnCorrection
+from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Extension, MapAction, Viewed
 
 MAX_LOOPS_COUNT = 128
@@ -157,10 +157,15 @@ class OdometryCalibration(Extension, Saved):
         self.correction = TurnCorrection(estimate.gain)
         self.loops = estimate.loops
 
-    def summary(self) -> dict[str, float]:
-        """Return the correction and the number of loops, for summary.json and diagnostics."""
+    def summary(self, turns: TurnCorrection = UNCORRECTED) -> dict[str, float]:
+        """Return the correction and the number of loops, for summary.json and diagnostics.
+
+        Args:
+            turns: correction by the map that follows.
+        """
+        gain, per_m_rad = turns.after(self.correction)
         return {
-            'rotation_gain': round(self.correction.gain, 4),
-            'turn_per_m_rad': round(self.correction.per_m_rad, 5),
+            'rotation_gain': round(gain, 4),
+            'turn_per_m_rad': round(per_m_rad, 5),
             'calibration_loops': self.loops,
         }
