@@ -26,8 +26,8 @@ PRESENT = {
     'pose_cells/core/stepped', 'pose_cells/core/agreement',
     'pose_cells/core/components/current', 'pose_cells/core/components/gaps',
     'pose_cells/core/components/alive', 'pose_cells/core/lengths/gap',
-    'pose_cells/core/lengths/latest', 'pose_cells/core/calibration/travelled',
-    'pose_cells/core/calibration/visits',
+    'pose_cells/core/lengths/latest', 'pose_cells/core/calibration/turned_rad',
+    'pose_cells/core/calibration/visited',
     # Experience map: the robot's pose, its drive so far, recent closures and scans.
     'experience_map/correction', 'experience_map/motion', 'experience_map/dead_reckoning',
     'experience_map/joining/next', 'experience_map/core/current',

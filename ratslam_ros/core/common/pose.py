@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.turn_correction import TurnCorrection
 
 
 class Pose(NamedTuple):
@@ -44,3 +45,10 @@ def inverse(pose: Pose) -> Pose:
     return Pose(
         -c * pose.x_m - s * pose.y_m, s * pose.x_m - c * pose.y_m, -pose.heading_rad
     )
+
+
+def corrected_arc(motion: Pose, turns: TurnCorrection) -> Pose:
+    """Return a measured motion along an arc, whose direction is half of its turn, corrected."""
+    x_m, y_m, turn_rad = motion
+    half_rad = 0.5 * (turns.corrected(turn_rad, math.hypot(x_m, y_m)) - turn_rad)
+    return composed(Pose(0.0, 0.0, half_rad), Pose(x_m, y_m, turn_rad + half_rad))

@@ -54,11 +54,10 @@ OUTLIER_RANGE = math.log(20.0)
 
 
 class Estimate(NamedTuple):
-    """A gain, the number of loops that it explains, and their share of all loops."""
+    """A gain, and the number of loops that it explains."""
 
     gain: float
     loops: int
-    share: float
 
 
 def is_small_error(ratio: float) -> bool:
@@ -98,7 +97,7 @@ def scale_of_turns(turns_rad: Floats, low: float, high: float) -> Estimate | Non
     loops = int(agree.sum())
     if loops < MIN_SHARE * len(turns):
         return None
-    return Estimate(gain, loops, loops / len(turns))
+    return Estimate(gain, loops)
 
 
 @compiled

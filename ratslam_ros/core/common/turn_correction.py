@@ -4,10 +4,7 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
-
-from ratslam_ros.core.common.pose import Pose, composed
 
 
 class TurnCorrection(NamedTuple):
@@ -34,12 +31,6 @@ class TurnCorrection(NamedTuple):
         return TurnCorrection(
             self.gain * first.gain, self.gain * first.per_m_rad + self.per_m_rad
         )
-
-    def of_arc(self, motion: Pose) -> Pose:
-        """Return a measured motion along an arc, whose direction is half of its turn."""
-        x_m, y_m, turn_rad = motion
-        half_rad = 0.5 * (self.corrected(turn_rad, math.hypot(x_m, y_m)) - turn_rad)
-        return composed(Pose(0.0, 0.0, half_rad), Pose(x_m, y_m, turn_rad + half_rad))
 
 
 UNCORRECTED = TurnCorrection()

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from ratslam_ros.core.common.pose import composed
+from ratslam_ros.core.common.pose import composed, corrected_arc
 from ratslam_ros.core.common.rotation_gain import is_small_error
 from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -24,9 +24,9 @@ def correct_turns(
         return
     change = now.after(before.inverse)
     own.link_table.correct_turns(change)
-    own.offset = change.of_arc(own.offset)
+    own.offset = corrected_arc(own.offset, change)
     if (departure := own.departure) is not None:
-        own.departure = departure._replace(offset=change.of_arc(departure.offset))
+        own.departure = departure._replace(offset=corrected_arc(departure.offset, change))
     if not is_small_error(change.gain):
         own.link_table.shares[:] = 1.0  # of recognitions, which had to agree with a wrong map
         own.optimiser.turns = UNCORRECTED

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.pose import Pose, composed, corrected_arc, inverse
 from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.graph import NotLinked
@@ -151,7 +151,7 @@ class LinkedGraph(RobotOnGraph):
         """
         relative = composed(self.offset, inverse(target_offset))
         if not recognised:
-            relative = self.optimiser.turns.inverse.of_arc(relative)
+            relative = corrected_arc(relative, self.optimiser.turns.inverse)
         link = Link.by_pose(
             source, target, relative, self._duration_s, behaviour, recognised=recognised
         )
@@ -179,7 +179,7 @@ class LinkedGraph(RobotOnGraph):
         error of its recognition.
         """
         relative = composed(departure.offset, inverse(target_offset))
-        relative = self.optimiser.turns.inverse.of_arc(relative)
+        relative = corrected_arc(relative, self.optimiser.turns.inverse)
         self.link_table.append(Link.by_pose(
             departure.experience_id, target, relative, departure.duration_s
         ))

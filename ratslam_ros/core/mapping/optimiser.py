@@ -141,7 +141,7 @@ class PoseGraphOptimiser(Saved):
         spacing_m = self.view_spacing_m
         change = reweigh(poses, ends, shapes, recognised, shares, spacing_m)
         if spacing_m > 0.0:
-            before, after, self.turns = relax_with_turns(
+            _, before, after, self.turns = relax_with_turns(
                 poses, ends, links.shapes, self.weights(links), ~recognised, self.turns, spacing_m
             )
         self.is_settled = before - after < LEAST_GAIN and change < MAX_CHANGE

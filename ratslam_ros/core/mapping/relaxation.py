@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
-from ratslam_ros.core.common.turn_correction import TurnCorrection
+from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 from ratslam_ros.core.mapping import block_elimination
 
 Reals = NDArray[np.float64]
@@ -57,24 +57,13 @@ def relax(
         Number of elimination steps, and ``cost`` before and after.
     """
     none = np.zeros(len(ends), np.bool_)
-    diagonal, linking, columns, *_ = _normal_equations(poses, ends, shapes, weights, shapes, none)
-    solved = columns[:, :, :1].copy()
-    work = block_elimination.solve(ends, diagonal, linking, solved)
-    step = solved[:, :, 0]
-    before = cost(poses, ends, shapes, weights)
-    for share in STEP_SHARES:
-        moved = poses + share * step
-        after = cost(moved, ends, shapes, weights)
-        if after <= before:
-            _replace(poses, moved)
-            return work, before, after
-    return work, before, before
+    return relax_with_turns(poses, ends, shapes, weights, none, UNCORRECTED, 1.0)[:3]
 
 
 def relax_with_turns(
     poses: Reals, ends: Indices, shapes: Reals, weights: Reals, driven: Flags,
     turns: TurnCorrection, view_spacing_m: float,
-) -> tuple[float, float, TurnCorrection]:
+) -> tuple[int, float, float, TurnCorrection]:
     """Take a step as ``relax`` does, towards the most likely systematic errors of turns as well.
 
     Args:
@@ -84,13 +73,13 @@ def relax_with_turns(
         view_spacing_m: view spacing, the scale of the prior.
 
     Returns:
-        ``cost`` before and after, with that of the correction; and the correction after.
+        As ``relax``, whose costs contain that of the correction, and the correction after.
     """
     diagonal, linking, columns, border, right = _normal_equations(
         poses, ends, corrected_turns(shapes, driven, *turns), weights, shapes, driven
     )
     solved = columns.copy()
-    block_elimination.solve(ends, diagonal, linking, solved)
+    work = block_elimination.solve(ends, diagonal, linking, solved)
     per_m_sd_rad = PER_SPACING_SD_RAD / view_spacing_m
     gain, per_m_rad = _turns(columns, solved, border, right, *turns, per_m_sd_rad)
     step = solved[:, :, 0] - solved[:, :, 1] * gain - solved[:, :, 2] * per_m_rad
@@ -106,8 +95,8 @@ def relax_with_turns(
         after = total(moved, now)
         if after <= before:
             _replace(poses, moved)
-            return before, after, now
-    return before, before, turns
+            return work, before, after, now
+    return work, before, before, turns
 
 
 @compiled

@@ -156,7 +156,7 @@ def test_systematic_errors_of_turns_are_found_with_the_poses(
     true, poses, ends, shapes, weights, driven = figure_eights(error, seed)
     turns, bent = UNCORRECTED, poses.copy()
     for _ in range(15):
-        _, _, turns = relax_with_turns(poses, ends, shapes, weights, driven, turns, 1.0)
+        *_, turns = relax_with_turns(poses, ends, shapes, weights, driven, turns, 1.0)
         relax(bent, ends, shapes, weights)
     assert tuple(turns) == pytest.approx(tuple(error), abs=0.003)
     assert off_m(poses, true) < 0.1
@@ -166,7 +166,7 @@ def test_systematic_errors_of_turns_are_found_with_the_poses(
 def test_turns_without_loops_are_not_corrected() -> None:
     _, poses, ends, shapes, weights, driven = figure_eights(TurnCorrection(1.05, 0.01), 0)
     before = poses.copy()
-    _, _, turns = relax_with_turns(
+    *_, turns = relax_with_turns(
         poses, ends[driven], shapes[driven], weights[driven], driven[driven], UNCORRECTED, 1.0
     )
     assert tuple(turns) == pytest.approx(tuple(UNCORRECTED), abs=1e-9)
