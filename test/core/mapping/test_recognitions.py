@@ -64,10 +64,11 @@ def settle(graph: ExperienceMap) -> None:
         graph.settle()
 
 
-def test_false_recognitions_are_deleted() -> None:
+@pytest.mark.parametrize('gain', [1.05, 1.1])
+def test_false_recognitions_are_deleted(gain: float) -> None:
     true, mixed = new_map(), new_map()
-    drive_laps(true, 3)
-    drive_laps(mixed, 3, false=5)
+    drive_laps(true, 3, gain)
+    drive_laps(mixed, 3, gain, false=5)
     for graph in (true, mixed):
         settle(graph)
     assert spread_m(true) < 0.15 * SPACING_M
