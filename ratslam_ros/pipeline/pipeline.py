@@ -29,6 +29,7 @@ from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
     Configure,
+    ReportBehaviour,
     Reset,
     SetBehaviour,
     SetMapping,
@@ -342,7 +343,9 @@ class Pipeline:
             key = type(command), getattr(command, 'stage', '')
             self._settings.pop(key, None)
             self._settings[key] = command
-        if isinstance(command, SetPaused):
+        if isinstance(command, ReportBehaviour):
+            self._settings.pop((SetBehaviour, ''), None)  # A report replaces it, and expires.
+        elif isinstance(command, SetPaused):
             (self._paused.add if command.paused else self._paused.discard)(command.stage)
         elif isinstance(command, Reset):
             for name in [name for name in self._unused if concerns(command, name)]:

@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
-import multiprocessing
+import signal
 import sqlite3
+import subprocess
+import sys
 import threading
-import time
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -74,7 +75,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Record]]
         return path, written(path, random_records(1, 3000))
 
 
-@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.integers(0, 80 * NS_PER_S), max_size=8))
 def test_advancing_in_any_steps_equals_seeking(
     drive: tuple[Path, list[Record]], offsets: list[int]
@@ -250,39 +251,42 @@ def test_closures_are_the_newest_in_order(
     run.close()
 
 
-def write_until_killed(path: Path, ready: Any) -> None:
-    """Write a history, of which the last records are not flushed."""
-    writer = HistoryWriter(path, HistoryMeta('killed'))
-    for record in random_records(4, 500):
-        writer.add(record)
-    writer.flush()
-    for record in random_records(5, 10):
-        writer.add(record)
-    ready.send(True)
-    time.sleep(60.0)
+WRITER = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from records_for_tests import random_records
+from ratslam_ros.history.file import HistoryMeta
+from ratslam_ros.history.writer import HistoryWriter
+writer = HistoryWriter(Path(sys.argv[1]), HistoryMeta('killed'))
+for record in random_records(4, 2000):
+    writer.add(record)
+writer.flush()
+for record in random_records(5, 10):
+    writer.add(record)
+print('ready', flush=True)
+time.sleep(60)
+"""
 
 
 def test_killed_writer_leaves_readable_history(tmp_path: Path) -> None:
-    context = multiprocessing.get_context('fork')
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(
-        target=write_until_killed, args=(tmp_path / HISTORY_NAME, sender)
-    )
-    process.start()
-    try:
-        assert receiver.poll(60.0)
+    with subprocess.Popen(
+        [sys.executable, '-c', WRITER, str(tmp_path / HISTORY_NAME), str(Path(__file__).parent)],
+        stdout=subprocess.PIPE, text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == 'ready\n'
         run = open_run(tmp_path)
         assert run.is_growing
         other = HistoryWriter(tmp_path / HISTORY_NAME, META, lambda _: None)
         assert 'is in use' in other.problem
-    finally:
-        process.kill()
-        process.join()
+        process.send_signal(signal.SIGKILL)
+        process.wait()
     assert not run.is_growing
     assert 'interrupted' in run.notices[0]
     expected = RunState()
     writer = HistoryWriter(tmp_path / 'same.sqlite', META)
-    for record in random_records(4, 500):
+    for record in random_records(4, 2000):
         if writer.add(record):
             expected.apply(record)
     writer.discard()

@@ -181,6 +181,7 @@ COMMANDS: dict[str, list[commands.Command]] = {
     ],
     'map': [
         commands.NewSession(), commands.Relocated(), commands.SetBehaviour('wall'),
+        commands.ReportBehaviour(START_NS + 49 * PERIOD_NS, 'free'),  # expires
         commands.Hint(PoseHint(Pose(1.0, 2.0, 0.5), 1.0, 0.0, 1.0, 0.1)),
         commands.MarkGoal('dock'),
         commands.BlockWay(0.5, 3.0), commands.NamePlace('dock'), commands.SearchPlace(),
