@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import threading
+import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -241,6 +242,9 @@ def test_failure_is_reported_once_and_so_is_its_end(
     for number in range(2, 12):
         store.cut(Cut(number, number), {PART: growing_state(number)})
         assert not store.flush(0.02)
+    end_s = time.monotonic() + 60.0
+    while not reports and time.monotonic() < end_s:  # the thread may not have run yet
+        time.sleep(0.01)
     assert len(reports) == 1
     assert text in reports[0]
     assert '\n' not in reports[0]
