@@ -157,8 +157,8 @@ class Graph:
 
     def endpoints(self, topic: str, kind: str) -> list[TopicEndpointInfo]:
         """Return the endpoints on a DDS topic; ``kind`` is writer or reader."""
-        all_found = [one for one in self._participant.endpoints(kind) if one.topic == topic]
-        if not all_found:
+        on_topic = [one for one in self._participant.endpoints(kind) if one.topic == topic]
+        if not on_topic:
             return []
         owners = {
             bytes(gid.data): (node.node_name, node.node_namespace)
@@ -179,7 +179,7 @@ class Graph:
                 list(found.gid),
                 from_dds(found.qos),
             )
-            for found in all_found
+            for found in on_topic
         ]
 
     def _announcements(self) -> list[Any]:

@@ -32,9 +32,6 @@ that are tried fits by chance."""
 GRID_RATIO = 1.01
 """Ratio of successive gains that are tried."""
 
-HEADING_SD_RAD = math.radians(10.0)
-"""Standard deviation of the difference of the headings at which a robot passes a place twice."""
-
 CONSISTENT_SD = 2.0
 """Largest residual of a loop that an estimate explains, in standard deviations."""
 
@@ -79,8 +76,8 @@ def scale_of_turns(turns_rad: Floats, low: float, high: float) -> Estimate | Non
         low, high: range of the gain.
 
     Returns:
-        The estimate. None if there are too few loops, if they contradict
-        each other, or if the likelihood grows towards an end of the range.
+        The estimate. None if there are too few loops, if they contradict each other, or if the
+        likelihood grows towards an end of the range.
     """
     turns = np.abs(turns_rad)
     turns = turns[turns * high > math.pi]  # With any gain, k is 0 for the others.

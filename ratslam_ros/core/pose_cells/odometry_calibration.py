@@ -10,6 +10,7 @@ their small errors are found by relaxation (core/mapping/relaxation.py).
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,12 +18,7 @@ import numpy as np
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.common.rotation_gain import (
-    CONSISTENT_SD,
-    HEADING_SD_RAD,
-    is_small_error,
-    scale_of_turns,
-)
+from ratslam_ros.core.common.rotation_gain import is_small_error, scale_of_turns
 from ratslam_ros.core.common.rows import KeyedRows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
@@ -43,6 +39,10 @@ to 200 degrees, if 50 are assumed."""
 LEAST_AGREEMENT = 0.5
 """Smallest agreement of recognitions that closes a loop, relative to the required one. It is
 measured with the odometry that is to be corrected."""
+
+FACING_RAD = math.radians(20.0)
+"""Difference of headings from which the robot does not face the same way at both ends of a loop:
+twice the standard deviation of the headings at which a robot passes a place."""
 
 NEWEST_VISITS_COUNT = 10
 """A return to one of the experiences visited last is no loop: the robot is still near them."""
@@ -68,8 +68,9 @@ class OdometryCalibration(Extension, Saved):
         count('loops', 'loops'),
         Field('turned_rad', '_turned_rad', optional=True),
         Field('visited', '_visits', 'f8', ('', 4), optional=True),
-        Field('counts', '_visit_count _loop_count', int, (2,), 0, MAX_COUNT),
-        Field('closed_by', '_closed', float, ('', 2), make=lambda *loop: loop, optional=True),
+        Field('visit_counts', '_visit_count _loop_count', int, (2,), 0, MAX_COUNT, optional=True),
+        Field('loop_turns_rad', '_loop_turns_rad', float, ('',), optional=True),
+        Field('scale_known', '_scale_known', bool, optional=True),
     )
 
     def __init__(self, correction: TurnCorrection) -> None:
@@ -82,10 +83,9 @@ class OdometryCalibration(Extension, Saved):
         self._turned_rad = 0.0
         self._visits = KeyedRows(1, 4)  # by experience
         self._visit_count = self._loop_count = 0
-        self._closed: list[tuple[float, float]] = []
-        """Turns of the loops, and the headings at their ends minus those at their starts."""
-        self._is_unknown = False
-        """Whether the last motion was measured in an unknown unit."""
+        self._loop_turns_rad: list[float] = []
+        self._scale_known = True
+        """Whether the last motion was measured in a known unit."""
 
     def restart(self) -> None:
         """Forget where the robot was after an unknown motion, through which no loop leads."""
@@ -93,13 +93,13 @@ class OdometryCalibration(Extension, Saved):
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion, whose turn was corrected by ``correction``."""
-        self._is_unknown = not motion.scale_known
-        if self._is_unknown:
+        self._scale_known = motion.scale_known
+        if not self._scale_known:
             self._turned_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
 
     def extended(self, action: MapAction, view: Viewed) -> MapAction:
         """Return an action with the correction, which is renewed if it is due."""
-        if view.is_learning and self._is_unknown:
+        if view.is_learning and not self._scale_known:
             self._observe(action, view.is_again)
         return replace(action, correction=self.correction)
 
@@ -122,15 +122,14 @@ class OdometryCalibration(Extension, Saved):
         here = _Visit(self._turned_rad, relative_rad, number)
         last = _Visit(*self._visits.get(experience_id)) if is_known else here
         self._visits.put((experience_id,), here)
-        if created or number - last.number <= NEWEST_VISITS_COUNT:
+        apart_rad = abs(wrap(relative_rad - last.relative_rad))
+        if created or number - last.number <= NEWEST_VISITS_COUNT or apart_rad >= FACING_RAD:
             return
         if self._loop_count == MAX_LOOPS_COUNT * self._stride:
-            del self._closed[1::2]
+            del self._loop_turns_rad[1::2]
         self._loop_count += 1
         if (self._loop_count - 1) % self._stride == 0:
-            self._closed.append((
-                here.turn_rad - last.turn_rad, relative_rad - last.relative_rad
-            ))
+            self._loop_turns_rad.append(here.turn_rad - last.turn_rad)
         is_early = self.loops == 0 and self._loop_count <= 2 * LOOPS_PER_ESTIMATE
         if is_early or self._loop_count % LOOPS_PER_ESTIMATE == 0:
             self._estimate()
@@ -141,12 +140,9 @@ class OdometryCalibration(Extension, Saved):
         return 1 << (max(self._loop_count - 1, 0) // MAX_LOOPS_COUNT).bit_length()
 
     def _estimate(self) -> None:
-        turns, differences = np.array(self._closed).T.copy()
         configured = self._configured.gain
-        apart_rad = np.array([abs(wrap(difference)) for difference in differences.tolist()])
         estimate = scale_of_turns(
-            turns[apart_rad < CONSISTENT_SD * HEADING_SD_RAD],
-            LEAST_GAIN * configured, LARGEST_GAIN * configured,
+            np.array(self._loop_turns_rad), LEAST_GAIN * configured, LARGEST_GAIN * configured
         )
         # Small changes only follow the noise of the latest loops, unless there are more now.
         if estimate is None or (

@@ -68,7 +68,7 @@ def test_kept_loops_are_of_the_whole_run(count: int) -> None:
         for _ in range(n + 1):
             calibration.integrate(Motion(0.1, 0.0, 1.0, scale_known=False))
         calibration.visit(1000 * n, 0.0, created=False)
-    kept = [round(turn_rad) - 1 for turn_rad, _ in calibration._closed]
+    kept = [round(turn_rad) - 1 for turn_rad in calibration._loop_turns_rad]
     stride = kept[1]
     assert kept == list(range(0, count, stride))
     assert min(count, 64) <= len(kept) <= 128
@@ -176,23 +176,26 @@ def test_restored_calibration_continues_identically() -> None:
     messages = list(oval(3, 2.5, scale_known=False))
     one, split = PoseCells(config), PoseCells(config)
     actions: list[list[object]] = [[], []]
+    turns: list[list[float]] = []
     for which, core in enumerate((one, split)):
         motion_of = MotionFromOdometry('twist', correction=CALIBRATING.inputs.turn_correction)
         for n, (odometry, match) in enumerate(messages):
-            if core is not one and n == len(messages) // 2 + 20:
-                restored = PoseCells(config)
-                restored.restore(core.state())
-                core = restored
             motion = motion_of.update(odometry)
             if motion is not None:
                 core.integrate(motion)
+            if core is not one and n >= len(messages) // 2:  # between odometry and view
+                restored = PoseCells(config)
+                restored.restore(core.state())
+                core = restored
             action = core.view(match)
             assert action.correction is not None
             motion_of.correction = action.correction
             actions[which].append(action)
         assert core.calibration is not None
         assert core.calibration.loops > 0
+        turns.append(core.calibration.state()['loop_turns_rad'])
     assert actions[0] == actions[1]
+    assert turns[0] == turns[1]
 
 
 def test_robot_that_was_carried_closes_no_loop() -> None:
@@ -200,9 +203,9 @@ def test_robot_that_was_carried_closes_no_loop() -> None:
     calibration = slam.pose_cells.calibration
     assert calibration is not None
     calibration.restart()
-    before = len(calibration.state()['closed_by'])
+    before = len(calibration.state()['loop_turns_rad'])
     calibration.visit(0, 0.0, created=False)
-    assert len(calibration.state()['closed_by']) == before
+    assert len(calibration.state()['loop_turns_rad']) == before
 
 
 def test_loop_through_an_odometry_gap_does_not_count() -> None:
@@ -220,4 +223,4 @@ def test_loop_through_an_odometry_gap_does_not_count() -> None:
     calibration = slam.pose_cells.calibration
     assert calibration is not None
     assert slam.pose_cells.gap_count == 1
-    assert not calibration.state()['closed_by']
+    assert not calibration.state()['loop_turns_rad']
